@@ -1,0 +1,73 @@
+"""The ellipsoid's metric in box coordinates, ready for conditional optima.
+
+With the letters of the paper, S = R diag(a^2) R^T is the shape matrix
+(S_ii = l_i^2 of section 5) and N = S^-1 = U^T M U the metric: the ellipsoid is
+(x - k)^T N (x - k) <= 1. Both are computed from R and a, without inversion and
+without cancellation in their diagonals; N as its multiple D2 N by the
+determinant D2 = (a_0 a_1 a_2)^2, the adjugate of S, so that it needs no division.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jaxbe.components import dot, matrix, vector
+from jaxbe.types import ComponentMatrix, Components
+
+
+class Metric(NamedTuple):
+    """The quadratic form as sums of three squares, one for each order (i, j, l).
+
+    Put x_i on a plane, at d_i = x_i - k_i. Then the optimum for x_j lies at
+    k_j + in_plane[j][i] d_i, and with x_j on a line of that plane the optimum
+    for x_l lies at k_l - on_line[l][i] d_i - on_line[l][j] d_j. With r_j and r_l
+    the distances from these optima,
+
+        (x - k)^T N (x - k) = plane[i] d_i^2 + line[i][l] r_j^2 + point[l] r_l^2
+
+    for {i, j, l} = {0, 1, 2}. Expanded as a polynomial instead, the form loses
+    all digits of a float32 at an aspect ratio of a few thousand.
+
+    Attributes:
+        plane: 1 / S_ii.
+        line: S_ii / (D2 N_ll), indexed [i][l].
+        point: N_ll.
+        in_plane: S_ij / S_ii, indexed [j][i].
+        on_line: N_lj / N_ll, indexed [l][j].
+    """
+
+    plane: Components
+    line: ComponentMatrix
+    point: Components
+    in_plane: ComponentMatrix
+    on_line: ComponentMatrix
+
+
+def metric(R: ComponentMatrix, a: Components) -> Metric:
+    """Computes the metric of an ellipsoid with axes R and semi-axes a.
+
+    The semi-axes' squares must be representable in pairs: with the largest
+    scaled to about one, in float32 the two smallest may have a product down to
+    1e-19 (aspect ratios to 1e9). Below that entries overflow to infinity or
+    become NaN, and so does what is computed from them.
+    """
+    squares = vector(lambda p: a[p] * a[p])
+    products = vector(lambda p: squares[(p + 1) % 3] * squares[(p + 2) % 3])
+    S = _congruence(R, squares)
+    D2N = _congruence(R, products)
+    per_S = vector(lambda i: 1 / S[i][i])
+    per_D2N = vector(lambda i: 1 / D2N[i][i])
+    per_D2 = 1 / (squares[0] * products[0])
+    return Metric(
+        plane=per_S,
+        line=matrix(lambda i, l: S[i][i] * per_D2N[l]),
+        point=vector(lambda l: D2N[l][l] * per_D2),
+        in_plane=matrix(lambda j, i: S[j][i] * per_S[i]),
+        on_line=matrix(lambda l, j: D2N[l][j] * per_D2N[l]),
+    )
+
+
+def _congruence(R: ComponentMatrix, diagonal: Components) -> ComponentMatrix:
+    """R diag(diagonal) R^T."""
+    weighted = matrix(lambda i, p: R[i][p] * diagonal[p])
+    return matrix(lambda i, j: dot(weighted[min(i, j)], R[max(i, j)]))

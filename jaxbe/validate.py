@@ -1,0 +1,157 @@
+"""What makes a box or an ellipsoid legal: shapes, dtypes and values.
+
+Shapes and dtypes are known while tracing, so they are checked always and cost
+nothing. Values are checked in eager constructors, and on request inside
+compiled code (`jaxbe.checked`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbe.types import ArrayLike
+
+DTYPES = ("float32", "float64")
+
+ORTHONORMAL_ROUNDINGS = 1000
+"""Axes may differ from orthonormal by so many units of rounding (`eps`)."""
+
+_TAILS = {"axes": (3, 3), "wxyz": (4,)}
+"""The trailing axes of the fields that are not vectors of three."""
+
+
+class Rule(NamedTuple):
+    """A condition on a field's values; `ok` has one entry a checked number."""
+
+    argument: str
+    requirement: str
+    ok: Any
+
+
+def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array]:
+    """Converts the fields of a shape to arrays of one floating-point dtype.
+
+    Python numbers and lists take the dtype of the fields that are arrays, or
+    JAX's default float.
+
+    Raises:
+        TypeError: a field is an array of another dtype than float32 or float64,
+            or two fields differ in dtype.
+    """
+    given = {name: jnp.asarray(x) for name, x in fields.items() if hasattr(x, "dtype")}
+    for name, x in given.items():
+        _check_dtype(kind, name, x)
+    default = next(iter(given.values())).dtype if given else jnp.zeros(()).dtype
+    arrays = {
+        name: given[name] if name in given else jnp.asarray(x, default)
+        for name, x in fields.items()
+    }
+    _check_one_dtype(kind, arrays)
+    return arrays
+
+
+def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
+    """Checks dtypes and shapes, at trace time; returns the batch shape.
+
+    Raises:
+        TypeError: a dtype that is not float32 or float64, or not the same in
+            all fields.
+        ValueError: a shape without the trailing axes that the field needs, or
+            leading axes that do not broadcast.
+    """
+    for name, x in fields.items():
+        _check_dtype(kind, name, x)
+        tail = _TAILS.get(name, (3,))
+        if x.shape[-len(tail) :] != tail:
+            expected = ", ".join(["...", *map(str, tail)])
+            raise ValueError(
+                f"{kind}: {name} must have shape ({expected}), got {x.shape}"
+            )
+    _check_one_dtype(kind, fields)
+    leading = {
+        name: x.shape[: x.ndim - len(_TAILS.get(name, (3,)))]
+        for name, x in fields.items()
+    }
+    try:
+        return np.broadcast_shapes(*leading.values())
+    except ValueError:
+        raise ValueError(
+            f"{kind}: the leading axes of its fields must broadcast, got {leading}"
+        ) from None
+
+
+def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> list[Rule]:
+    """The conditions that legal values meet, each evaluated elementwise.
+
+    Args:
+        fields: arrays by argument name.
+        xp: the module that computes: `numpy` for values at hand, `jax.numpy`
+            for values inside a trace.
+    """
+    rules = [Rule(name, "finite", xp.isfinite(x)) for name, x in fields.items()]
+    if "axes" in fields:
+        rules.append(_orthonormal(fields["axes"], xp))
+    if "wxyz" in fields:
+        nonzero = xp.any(fields["wxyz"] != 0, axis=-1, keepdims=True)
+        rules.append(Rule("wxyz", "of non-zero length", nonzero))
+    if "half_extents" in fields:
+        ok = fields["half_extents"] >= 0
+        rules.append(Rule("half_extents", "non-negative", ok))
+    if "semi_axes" in fields:
+        rules.append(Rule("semi_axes", "positive", fields["semi_axes"] > 0))
+    return rules
+
+
+def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
+    """Checks the values of concrete arrays; traced ones pass unread.
+
+    Raises:
+        ValueError: naming the argument, the requirement and the first value
+            that breaks it.
+    """
+    if not all(map(_is_readable, fields.values())):
+        return
+    values = {name: np.asarray(x) for name, x in fields.items()}
+    for rule in value_rules(values, np):
+        if not np.all(rule.ok):
+            found = _first_broken(rule.argument, values[rule.argument], rule.ok)
+            raise ValueError(
+                f"{kind}: {rule.argument} must be {rule.requirement}, got {found}"
+            )
+
+
+def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
+    tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
+    gram = xp.sum(axes[..., :, :, None] * axes[..., :, None, :], axis=-3)
+    error = xp.abs(gram - xp.eye(3, dtype=axes.dtype))
+    ok = error <= tolerance
+    return Rule("axes", f"orthonormal in their columns (to {tolerance:.1e})", ok)
+
+
+def _first_broken(argument: str, x: np.ndarray, ok: np.ndarray) -> str:
+    """The first vector or matrix of the batch `x` whose entries are not all ok."""
+    leading = ok.ndim - len(_TAILS.get(argument, (3,)))
+    batch = np.unravel_index(np.argmin(ok), ok.shape)[:leading]
+    place = f" at batch index {tuple(map(int, batch))}" if batch else ""
+    return f"{x[batch].tolist()}{place}"
+
+
+def _is_readable(x: jax.Array) -> bool:
+    return not isinstance(x, jax.core.Tracer) and x.is_fully_addressable
+
+
+def _check_dtype(kind: str, name: str, x: jax.Array) -> None:
+    if str(x.dtype) not in DTYPES:
+        raise TypeError(f"{kind}: {name} must be {' or '.join(DTYPES)}, got {x.dtype}")
+
+
+def _check_one_dtype(kind: str, fields: Mapping[str, jax.Array]) -> None:
+    dtypes = {name: str(x.dtype) for name, x in fields.items()}
+    if len(set(dtypes.values())) > 1:
+        raise TypeError(f"{kind}: its fields must have one dtype, got {dtypes}")
