@@ -7,13 +7,14 @@ compiled code (`jaxbe.checked`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxbe.types import ArrayLike
 
@@ -53,7 +54,8 @@ def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array
         for name, x in fields.items()
     }
     _check_one_dtype(kind, arrays)
-    return arrays
+    # A weak type would compile every caller a second time.
+    return {n: lax.convert_element_type(x, x.dtype) for n, x in arrays.items()}
 
 
 def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
@@ -86,7 +88,7 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
         ) from None
 
 
-def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> list[Rule]:
+def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
     """The conditions that legal values meet, each evaluated elementwise.
 
     Args:
@@ -94,18 +96,17 @@ def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> list[Rule]:
         xp: the module that computes: `numpy` for values at hand, `jax.numpy`
             for values inside a trace.
     """
-    rules = [Rule(name, "finite", xp.isfinite(x)) for name, x in fields.items()]
+    for name, x in fields.items():
+        yield Rule(name, "finite", xp.isfinite(x))
     if "axes" in fields:
-        rules.append(_orthonormal(fields["axes"], xp))
+        yield _orthonormal(fields["axes"], xp)
     if "wxyz" in fields:
         nonzero = xp.any(fields["wxyz"] != 0, axis=-1, keepdims=True)
-        rules.append(Rule("wxyz", "of non-zero length", nonzero))
+        yield Rule("wxyz", "of non-zero length", nonzero)
     if "half_extents" in fields:
-        ok = fields["half_extents"] >= 0
-        rules.append(Rule("half_extents", "non-negative", ok))
+        yield Rule("half_extents", "non-negative", fields["half_extents"] >= 0)
     if "semi_axes" in fields:
-        rules.append(Rule("semi_axes", "positive", fields["semi_axes"] > 0))
-    return rules
+        yield Rule("semi_axes", "positive", fields["semi_axes"] > 0)
 
 
 def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
@@ -129,8 +130,8 @@ def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
 def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
     tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
     gram = xp.sum(axes[..., :, :, None] * axes[..., :, None, :], axis=-3)
-    error = xp.abs(gram - xp.eye(3, dtype=axes.dtype))
-    ok = error <= tolerance
+    identity = xp.broadcast_to(xp.eye(3, dtype=axes.dtype), gram.shape)
+    ok = xp.abs(gram - identity) <= tolerance
     return Rule("axes", f"orthonormal in their columns (to {tolerance:.1e})", ok)
 
 

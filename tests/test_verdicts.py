@@ -1,0 +1,160 @@
+"""Verdicts of the three tests against the truth, on the very floats given."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+import jaxbe
+from tests import scenes, truth
+
+BANDS = {
+    ("float64", 0.05): 1e-12,
+    ("float64", 0.002): 1e-10,
+    ("float32", 0.05): 1e-5,
+    ("float32", 0.002): 1e-4,
+}
+"""Where a verdict may be wrong, |sqrt(q) - 1|, by dtype and smallest length
+(lengths go up to 2: aspect ratios to 40 and 1000)."""
+
+
+@functools.cache
+def overlap(method):
+    return jax.jit(functools.partial(jaxbe.overlap, method=method))
+
+
+@pytest.fixture(params=[0.05, 0.002], ids=["aspect40", "aspect1000"])
+def low(request):
+    return request.param
+
+
+@pytest.fixture
+def band(dtype, low):
+    return BANDS[dtype.name, low]
+
+
+def check(scene, band):
+    """No method is wrong outside the band; returns the share that overlaps."""
+    verdict = truth.overlaps(scene)
+    bodies = scene.bodies()
+    for method in jaxbe.METHODS:
+        worst = truth.worst_wrong(scene, verdict, overlap(method)(*bodies))
+        assert worst <= band, f"{method}: wrong at |sqrt(q) - 1| = {worst}"
+    return verdict.mean()
+
+
+def test_random(dtype, low, band):
+    share = check(scenes.random(1_000_000, low=low).astype(dtype), band)
+    assert 0.1 < share < 0.9
+
+
+@pytest.mark.parametrize("growth", [1e-9, 1e-6, 1e-4])
+def test_near_touching(dtype, low, band, growth):
+    base = scenes.random(100_000, seed=5, low=low)
+    share = check(scenes.near_touching(base, growth=growth).astype(dtype), band)
+    assert 0.4 < share < 0.6
+
+
+@pytest.mark.parametrize("zero_extents", [1, 2, 3], ids=["plate", "rod", "point"])
+def test_flat_boxes(dtype, low, band, zero_extents):
+    base = scenes.flattened(scenes.random(20_000, seed=6, low=low), zero_extents)
+    check(base.astype(dtype), band)
+    share = check(scenes.near_touching(base).astype(dtype), band)
+    assert 0.4 < share < 0.6
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [scenes.spheres, scenes.axis_aligned, scenes.coincident, scenes.permuted],
+    ids=lambda f: f.__name__,
+)
+def test_special_poses(dtype, low, band, kind):
+    base = kind(scenes.random(20_000, seed=7, low=low))
+    share = check(base.astype(dtype), band)
+    if kind is scenes.coincident:
+        assert share == 1
+        return
+    check(scenes.near_touching(base).astype(dtype), band)
+
+
+@pytest.mark.parametrize("size", [1e-15, 1e15])
+def test_sizes_in_metres(dtype, low, band, size):
+    base = scenes.near_touching(scenes.random(20_000, seed=8, low=low), growth=1e-3)
+    check(scenes.scaled(base, size).astype(dtype), band)
+
+
+def test_far_from_the_origin(dtype, low, band):
+    """The floats given are decided, whatever their rounding did to the scene."""
+    base = scenes.random(20_000, seed=9, low=low).astype(dtype)
+    offset = np.array([1e6, -2e6, 3e6]).astype(dtype)
+    share = check(scenes.shifted(base, offset), band)
+    assert 0.1 < share < 0.9
+
+
+def test_integer_ties_are_overlaps(dtype, method):
+    """Touching at a vertex, an edge, a face, at numbers that are exact in floats."""
+    centers = np.array([[2, 0, 0], [2, 1, 1], [0, -2, 1], [1, 1, 2], [-1, 1, -2]])
+    touching = np.array([[4, 5, 1], [1, -4, -5], [-5, 1, 4]])  # 3-4-5 to an edge
+    for K, a in [*((K, 1) for K in centers), *((K, 5) for K in touching)]:
+        box = jaxbe.Box(np.zeros(3, dtype), np.eye(3, dtype=dtype), np.ones(3, dtype))
+        a = np.full(3, a, dtype)
+        ball = jaxbe.Ellipsoid(K.astype(dtype), np.eye(3, dtype=dtype), a)
+        assert jaxbe.overlap(box, ball, method=method)
+
+
+def test_power_of_two_scaling_changes_no_bit(dtype, low):
+    """Verdicts and scaled distances: sizes from 2^-100 to 2^100."""
+    scene = scenes.near_touching(scenes.random(2000, seed=10, low=low)).astype(dtype)
+    distance = jax.jit(jaxbe.scaled_distance)
+    expected = np.asarray(distance(*scene.bodies()))
+    verdicts = [np.asarray(overlap(m)(*scene.bodies())) for m in jaxbe.METHODS]
+    for exponent in (-100, -37, -1, 1, 40, 100):
+        bodies = scenes.scaled(scene, dtype.type(2.0**exponent)).bodies()
+        assert np.array_equal(distance(*bodies), expected)
+        for m, verdict in zip(jaxbe.METHODS, verdicts, strict=True):
+            assert np.array_equal(overlap(m)(*bodies), verdict)
+
+
+def test_rigid_motion_changes_no_clear_verdict(dtype, method):
+    """Box and ellipsoid moved together: same answer outside the rounding band."""
+    scene = scenes.random(20_000, seed=11)
+    rotation = scenes.rotations(np.random.default_rng(12), 1)[0]
+    shift = np.array([3.0, -1.0, 2.0])
+    moved = scene._replace(
+        C=scene.C @ rotation.T + shift,
+        U=rotation @ scene.U,
+        K=scene.K @ rotation.T + shift,
+        V=rotation @ scene.V,
+    )
+    verdicts = overlap(method)(*moved.astype(dtype).bodies())
+    band = 10 * BANDS[dtype.name, 0.05]
+    assert truth.worst_wrong(scene, truth.overlaps(scene), verdicts) <= band
+
+
+@pytest.mark.parametrize("aspect", [1e5, 1e7])
+def test_needles_and_plates_beyond_the_stated_aspects(dtype, method, aspect):
+    """Wrong only within eps times the aspect ratio, whatever it is."""
+    rng = np.random.default_rng(13)
+    base = scenes.random(20_000, seed=14, low=0.5)
+    thin = rng.choice([1.0, 1 / aspect], size=(base.n, 3))
+    thin[np.arange(base.n), rng.integers(0, 3, base.n)] = 1.0
+    scene = base._replace(a=base.a * thin).astype(dtype)
+    verdicts = overlap(method)(*scene.bodies())
+    band = 30 * np.finfo(dtype).eps * aspect
+    assert truth.worst_wrong(scene, truth.overlaps(scene), verdicts) <= band
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", ["C", "U", "e", "K", "V", "a"])
+def test_undecidable_pairs_count_as_overlapping(dtype, method, bad, field):
+    """A NaN or an infinity anywhere, in pairs that are far apart."""
+    scene = scenes.random(9, seed=15)
+    scene = scene._replace(K=scene.C + 100.0).astype(dtype)
+    values = getattr(scene, field)
+    for i, index in enumerate(np.ndindex(values.shape[1:])):
+        values[(i, *index)] = bad
+    C, U, e, K, V, a = scene.take(slice(0, int(np.prod(values.shape[1:]))))
+    bodies = jaxbe.Box.unchecked(C, U, e), jaxbe.Ellipsoid.unchecked(K, V, a)
+    assert np.all(overlap(method)(*bodies))
+    assert np.all(np.isnan(jaxbe.scaled_distance(*bodies)))
