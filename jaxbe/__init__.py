@@ -1,10 +1,20 @@
 """Does an oriented box touch an oriented ellipsoid, by how much, which way out?"""
 
 from jaxbe.checked import checked
+from jaxbe.margin import margin, margin_bounds
 from jaxbe.overlap import METHODS, overlap
 from jaxbe.scaled_distance import scaled_distance
 from jaxbe.shapes import Box, Ellipsoid
 
 __version__ = "0.1.0"
 
-__all__ = ["METHODS", "Box", "Ellipsoid", "checked", "overlap", "scaled_distance"]
+__all__ = [
+    "METHODS",
+    "Box",
+    "Ellipsoid",
+    "checked",
+    "margin",
+    "margin_bounds",
+    "overlap",
+    "scaled_distance",
+]

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.components import clip, where
+from jaxbe.components import clip, vector, where
 from jaxbe.metric import Metric
 from jaxbe.types import Components, Scalars
 
@@ -36,6 +36,7 @@ class Candidate(NamedTuple):
 
     Attributes:
         order: (i, j, l), the order of clipping.
+        x: the point, in box coordinates.
         d_i: x_i - k_i.
         r_j: x_j minus its optimum in the plane of x_i; exactly 0 where not clipped.
         r_l: x_l minus its optimum on the line of x_i, x_j; exactly 0 likewise.
@@ -43,24 +44,44 @@ class Candidate(NamedTuple):
     """
 
     order: tuple[int, int, int]
+    x: Components
     d_i: Scalars
     r_j: Scalars
     r_l: Scalars
     q: Scalars
 
 
+class Nearest(NamedTuple):
+    """The minimiser.
+
+    Attributes:
+        q: (x - k)^T N (x - k).
+        x: the nearest point of the box, in box coordinates.
+        n: the multipliers N (k - x): they point from the box to the ellipsoid's
+            centre, are normal to the ellipsoid through x, and separate the pair
+            when q > 1; zero when k is in the box. Coordinates that are free at the
+            minimiser are exact zeros.
+    """
+
+    q: Scalars
+    x: Components
+    n: Components
+
+
 def candidates(k: Components, e: Components, m: Metric) -> Iterator[Candidate]:
     """The six points of the theorem, for the box |x_i| <= e_i and the centre k."""
-    first = [clip(k[i], e[i]) - k[i] for i in range(3)]
+    first = vector(lambda i: clip(k[i], e[i]))
     for i, j, l in ORDERS:
-        d_i = first[i]
+        d_i = first[i] - k[i]
         m_j = k[j] + m.in_plane[j][i] * d_i
         x_j = clip(m_j, e[j])
         m_l = k[l] - (m.on_line[l][i] * d_i + m.on_line[l][j] * (x_j - k[j]))
+        x_l = clip(m_l, e[l])
         r_j = x_j - m_j
-        r_l = clip(m_l, e[l]) - m_l
+        r_l = x_l - m_l
         q = m.plane[i] * d_i * d_i + m.line[i][l] * r_j * r_j + m.point[l] * r_l * r_l
-        yield Candidate((i, j, l), d_i, r_j, r_l, q)
+        x = _in_place((i, j, l), first[i], x_j, x_l)
+        yield Candidate((i, j, l), x, d_i, r_j, r_l, q)
 
 
 def squared_distance(k: Components, e: Components, m: Metric) -> Scalars:
@@ -68,30 +89,36 @@ def squared_distance(k: Components, e: Components, m: Metric) -> Scalars:
     return functools.reduce(jnp.minimum, (c.q for c in candidates(k, e, m)))
 
 
-def normal(k: Components, e: Components, m: Metric) -> Components:
-    """The multipliers n = N (k - x) at the minimiser x, in box axes.
-
-    They point from the box to the ellipsoid's centre and separate the pair, or
-    touch it, when q >= 1; zero when k is in the box. Never formed as that
-    product, which loses a digit for each power of ten of the aspect ratio:
-    coordinates that are free at the minimiser get exact zeros.
-    """
+def nearest(k: Components, e: Components, m: Metric) -> Nearest:
+    """The best of the candidates, with its multipliers."""
     first, *others = candidates(k, e, m)
-    best_q, best_n = first.q, _multipliers(first, m)
+    best = Nearest(first.q, first.x, _multipliers(first, m))
     for c in others:
-        better = c.q < best_q
-        best_q = jnp.where(better, c.q, best_q)
-        best_n = where(better, _multipliers(c, m), best_n)
-    return best_n
+        better = c.q < best.q
+        best = Nearest(
+            jnp.where(better, c.q, best.q),
+            where(better, c.x, best.x),
+            where(better, _multipliers(c, m), best.n),
+        )
+    return best._replace(
+        n=vector(lambda i: jnp.where(abs(best.x[i]) < e[i], 0, best.n[i]))
+    )
 
 
 def _multipliers(c: Candidate, m: Metric) -> Components:
+    """N (k - x) from the three residuals.
+
+    Never formed as that product, which loses a digit for each power of ten of the
+    aspect ratio.
+    """
     i, j, l = c.order
     on_line = m.line[i][l] * c.r_j
     on_point = m.point[l] * c.r_l
-    n = {
-        i: m.in_plane[j][i] * on_line - m.plane[i] * c.d_i - m.on_line[l][i] * on_point,
-        j: -(on_line + m.on_line[l][j] * on_point),
-        l: -on_point,
-    }
-    return n[0], n[1], n[2]
+    n_i = m.in_plane[j][i] * on_line - m.plane[i] * c.d_i - m.on_line[l][i] * on_point
+    n_j = -(on_line + m.on_line[l][j] * on_point)
+    return _in_place(c.order, n_i, n_j, -on_point)
+
+
+def _in_place(order: tuple[int, int, int], *values: Scalars) -> Components:
+    """The vector whose component order[0] is values[0], and so on."""
+    return vector(lambda axis: values[order.index(axis)])

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from jaxbe.components import dot, matrix, vector
-from jaxbe.types import ComponentMatrix, Components
+from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
 
 class Metric(NamedTuple):
@@ -29,6 +31,7 @@ class Metric(NamedTuple):
     all digits of a float32 at an aspect ratio of a few thousand.
 
     Attributes:
+        width: l_i = sqrt(S_ii), half the ellipsoid's width along the box axes.
         plane: 1 / S_ii.
         line: S_ii / (D2 N_ll), indexed [i][l].
         point: N_ll.
@@ -36,6 +39,7 @@ class Metric(NamedTuple):
         on_line: N_lj / N_ll, indexed [l][j].
     """
 
+    width: Components
     plane: Components
     line: ComponentMatrix
     point: Components
@@ -59,12 +63,36 @@ def metric(R: ComponentMatrix, a: Components) -> Metric:
     per_D2N = vector(lambda i: 1 / D2N[i][i])
     per_D2 = 1 / (squares[0] * products[0])
     return Metric(
+        width=vector(lambda i: jnp.sqrt(S[i][i])),
         plane=per_S,
         line=matrix(lambda i, l: S[i][i] * per_D2N[l]),
         point=vector(lambda l: D2N[l][l] * per_D2),
         in_plane=matrix(lambda j, i: S[j][i] * per_S[i]),
         on_line=matrix(lambda l, j: D2N[l][j] * per_D2N[l]),
     )
+
+
+def active_inverse(active: tuple[Flags, Flags, Flags], m: Metric) -> ComponentMatrix:
+    """(S_AA)^-1 for the set A of active coordinates, without cancellation.
+
+    By Jacobi's identities its entries are those of N, of a line or of a plane,
+    whether three, two or one coordinates are active. Rows and columns of inactive
+    coordinates hold no meaning.
+    """
+
+    def entry(i: int, j: int) -> Scalars:
+        others = [p for p in range(3) if p not in (i, j)]
+        if i == j:
+            j, l = others
+            both = jnp.where(active[l], m.point[i], m.line[j][l])
+            return jnp.where(
+                active[j], both, jnp.where(active[l], m.line[l][j], m.plane[i])
+            )
+        (l,) = others
+        alone = -m.in_plane[j][i] * m.line[i][l]
+        return jnp.where(active[l], m.on_line[i][j] * m.point[i], alone)
+
+    return matrix(lambda i, j: entry(min(i, j), max(i, j)))
 
 
 def _congruence(R: ComponentMatrix, diagonal: Components) -> ComponentMatrix:

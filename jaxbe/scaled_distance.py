@@ -56,7 +56,7 @@ def _scaled_distance_jvp(primals: Any, tangents: Any) -> tuple[Scalars, Scalars]
     through a clip, a minimum or the square root of zero.
     """
     (pair,) = primals
-    n = kernel.normal(pair.k, pair.e, metric(pair.R, pair.a))
+    n = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a)).n
     size = largest(vector(lambda i: abs(n[i])))
     inside = size == 0
     safe_size = jnp.where(inside, 1, size)

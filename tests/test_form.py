@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import jaxbe
-from tests import programs, scenes
+from benchmarks import scenes
+from tests import programs
 
 QUERIES = {
     **{m: functools.partial(jaxbe.overlap, method=m) for m in jaxbe.METHODS},
@@ -68,7 +69,7 @@ def test_batch_vmap_and_loop_agree_to_rounding(query, dtype):
     batch = np.asarray(query(*bodies))
     vmapped = np.asarray(jax.jit(jax.vmap(query))(*bodies))
     one = jax.jit(query)
-    loop = np.array([one(*scene.take(i).bodies()) for i in range(scene.n)])
+    loop = np.array([one(*scene.part(i).bodies()) for i in range(scene.size)])
     tolerance = 100 * np.finfo(dtype).eps
     np.testing.assert_allclose(batch, vmapped, rtol=tolerance, atol=tolerance)
     np.testing.assert_allclose(batch, loop, rtol=tolerance, atol=tolerance)
@@ -101,7 +102,7 @@ def test_fields_of_a_body_broadcast(query, dtype):
 
 
 def test_empty_batch(query, dtype):
-    bodies = scenes.random(3).astype(dtype).take(slice(0, 0)).bodies()
+    bodies = scenes.random(3).astype(dtype).part(slice(0, 0)).bodies()
     assert query(*bodies).shape == (0,)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxbe
-from tests import reference, scenes, truth
+from benchmarks import reference, scenes
+from tests import truth
 
 distance = jax.jit(jaxbe.scaled_distance)
 
@@ -74,8 +75,8 @@ def test_gradient_against_differences():
     scene = scenes.random(2000, seed=22)
     found = jax.tree.leaves(gradient(*scene.bodies()))
     for x, y in zip(found, exact_gradient_reference(scene), strict=True):
-        scale = 1 + np.max(abs(y).reshape(scene.n, -1), axis=1)
-        error = np.max(abs(x - y).reshape(scene.n, -1), axis=1) / scale
+        scale = 1 + np.max(abs(y).reshape(scene.size, -1), axis=1)
+        error = np.max(abs(x - y).reshape(scene.size, -1), axis=1) / scale
         assert np.percentile(error, 99) < 1e-6
 
 
@@ -85,8 +86,8 @@ def test_gradient_in_float32():
     found = jax.tree.leaves(gradient(*scene.astype(np.float32).bodies()))
     found = [x.astype(np.float64) for x in found]
     for x, y in zip(found, expected, strict=True):
-        scale = 1 + np.max(abs(y).reshape(scene.n, -1), axis=1)
-        error = np.max(abs(x - y).reshape(scene.n, -1), axis=1) / scale
+        scale = 1 + np.max(abs(y).reshape(scene.size, -1), axis=1)
+        error = np.max(abs(x - y).reshape(scene.size, -1), axis=1) / scale
         assert np.percentile(error, 99) < 1e-4
 
 
@@ -99,13 +100,13 @@ def test_forward_equals_reverse(dtype):
     )
     _, forward = jax.jvp(distance, bodies, tangents)
     products = jax.tree.map(
-        lambda g, t: jnp.sum((g * t).reshape(scene.n, -1), axis=1),
+        lambda g, t: jnp.sum((g * t).reshape(scene.size, -1), axis=1),
         gradient(*bodies),
         tangents,
     )
     reverse = sum(jax.tree.leaves(products))
     scale = 1 + sum(
-        np.max(abs(x).reshape(scene.n, -1), axis=1)
+        np.max(abs(x).reshape(scene.size, -1), axis=1)
         for x in jax.tree.leaves(gradient(*bodies))
     )
     assert np.max(abs(forward - reverse) / scale) < 100 * np.finfo(dtype).eps

@@ -12,8 +12,8 @@ import pytest
 from jax.experimental import checkify
 
 import jaxbe
+from benchmarks import scenes
 from jaxbe import Box, Ellipsoid
-from tests import scenes
 
 KINDS = (Box, Ellipsoid)
 

@@ -5,7 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tests import oracle, reference, scenes, truth
+from benchmarks import reference, scenes
+from tests import oracle, truth
 
 
 def form(N, x, k):
@@ -16,7 +17,7 @@ def form(N, x, k):
 def test_oracle_value_is_below_every_point_of_the_box():
     rng = np.random.default_rng(0)
     scene = scenes.random(20)
-    for i in range(scene.n):
+    for i in range(scene.size):
         pair = truth.exact(scene, i)
         q = oracle.squared_distance(pair)
         k, N = oracle.canonical(pair)
@@ -29,7 +30,7 @@ def test_oracle_value_is_attained():
     """The reference's minimiser, a point of the box, has the value to rounding."""
     scene = scenes.random(20)
     points = reference.nearest_in(scene).x
-    for i in range(scene.n):
+    for i in range(scene.size):
         pair = truth.exact(scene, i)
         k, N = oracle.canonical(pair)
         value = form(N, [Fraction(v) for v in points[i].tolist()], k)
@@ -59,9 +60,9 @@ def test_proofs_do_not_need_good_hints():
     scene = scenes.random(2000)
     verdict = truth.overlaps(scene)
     rng = np.random.default_rng(1)
-    n = rng.normal(size=(scene.n, 3))
+    n = rng.normal(size=(scene.size, 3))
     assert not np.any(truth.proves_separation(scene, n) & verdict)
-    x = scene.e * rng.uniform(-1, 1, size=(scene.n, 3))
+    x = scene.e * rng.uniform(-1, 1, size=(scene.size, 3))
     assert not np.any(truth.proves_overlap(scene, x) & ~verdict)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxbe
-from tests import scenes, truth
+from benchmarks import scenes
+from tests import truth
 
 BANDS = {
     ("float64", 0.05): 1e-12,
@@ -137,8 +138,8 @@ def test_needles_and_plates_beyond_the_stated_aspects(dtype, method, aspect):
     """Wrong only within eps times the aspect ratio, whatever it is."""
     rng = np.random.default_rng(13)
     base = scenes.random(20_000, seed=14, low=0.5)
-    thin = rng.choice([1.0, 1 / aspect], size=(base.n, 3))
-    thin[np.arange(base.n), rng.integers(0, 3, base.n)] = 1.0
+    thin = rng.choice([1.0, 1 / aspect], size=(base.size, 3))
+    thin[np.arange(base.size), rng.integers(0, 3, base.size)] = 1.0
     scene = base._replace(a=base.a * thin).astype(dtype)
     verdicts = overlap(method)(*scene.bodies())
     band = 30 * np.finfo(dtype).eps * aspect
@@ -154,7 +155,7 @@ def test_undecidable_pairs_count_as_overlapping(dtype, method, bad, field):
     values = getattr(scene, field)
     for i, index in enumerate(np.ndindex(values.shape[1:])):
         values[(i, *index)] = bad
-    C, U, e, K, V, a = scene.take(slice(0, int(np.prod(values.shape[1:]))))
+    C, U, e, K, V, a = scene.part(slice(0, int(np.prod(values.shape[1:]))))
     bodies = jaxbe.Box.unchecked(C, U, e), jaxbe.Ellipsoid.unchecked(K, V, a)
     assert np.all(overlap(method)(*bodies))
     assert np.all(np.isnan(jaxbe.scaled_distance(*bodies)))

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests import oracle, reference
+from benchmarks import reference
+from tests import oracle
 
 ROUNDING = 64 * np.finfo(np.float64).eps
 """More than gamma_m of every sum below (at most 20 roundings each)."""
@@ -19,8 +20,8 @@ CHUNK = 100_000
 
 def overlaps(scene) -> np.ndarray:
     """The exact verdict of every pair, on the very floats given."""
-    chunks = range(0, scene.n, CHUNK)
-    return np.concatenate([_overlaps(scene.take(slice(i, i + CHUNK))) for i in chunks])
+    chunks = range(0, scene.size, CHUNK)
+    return np.concatenate([_overlaps(scene.part(slice(i, i + CHUNK))) for i in chunks])
 
 
 def _overlaps(scene) -> np.ndarray:
@@ -48,7 +49,7 @@ def worst_wrong(scene, truth, verdicts) -> float:
     arithmetic how far these are.
     """
     wrong = np.flatnonzero(np.asarray(verdicts) != truth)
-    estimate = abs(np.sqrt(reference.nearest_in(scene.take(wrong)).q) - 1)
+    estimate = abs(np.sqrt(reference.nearest_in(scene.part(wrong)).q) - 1)
     furthest = wrong[np.argsort(-estimate)[:20]]
     return max((distance_from_touching(scene, i) for i in furthest), default=0.0)
 

@@ -8,7 +8,7 @@ delta . lambda is a lower bound of q, and the best of these bounds is q.
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,18 +21,24 @@ class Nearest(NamedTuple):
     multipliers: np.ndarray
 
 
-def canonical(scene):
-    """k (n, 3) and R (n, 3, 3), in float64."""
+def scaled_distance(scene: Any) -> np.ndarray:
+    """sqrt(q) of each pair: they overlap exactly if it is at most 1."""
+    return np.sqrt(nearest_in(scene).q)
+
+
+def canonical(scene: Any) -> tuple[np.ndarray, np.ndarray]:
+    """K (n, 3) and R (n, 3, 3), in float64."""
     C, U, _, K, V, _ = (x.astype(np.float64) for x in scene)
     return np.einsum("nri,nr->ni", U, K - C), np.einsum("nri,nrj->nij", U, V)
 
 
-def shape_matrix(R, a):
+def shape_matrix(R: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """S = R diag(a^2) R^T."""
     scaled = R * a[:, None, :]
     return scaled @ scaled.transpose(0, 2, 1)
 
 
-def nearest(k, e, S) -> Nearest:
+def nearest(k: np.ndarray, e: np.ndarray, S: np.ndarray) -> Nearest:
     """The nearest point of the box in the metric S^-1, over all 26 active sets."""
     n = k.shape[0]
     best = Nearest(np.zeros(n), np.clip(k, -e, e), np.zeros((n, 3)))
@@ -57,14 +63,15 @@ def nearest(k, e, S) -> Nearest:
     return best
 
 
-def nearest_in(scene) -> Nearest:
+def nearest_in(scene: Any) -> Nearest:
+    """The nearest points of the pairs of a `benchmarks.scenes.Scene`."""
     k, R = canonical(scene)
     return nearest(
         k, scene.e.astype(np.float64), shape_matrix(R, scene.a.astype(np.float64))
     )
 
 
-def growth_distance(scene, steps=12) -> np.ndarray:
+def growth_distance(scene: Any, steps: int = 12) -> np.ndarray:
     """The factor by which both bodies must be scaled about their centres to touch."""
     k, R = canonical(scene)
     e, a = scene.e.astype(np.float64), scene.a.astype(np.float64)

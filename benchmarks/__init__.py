@@ -1,0 +1,1 @@
+"""Measurements of jaxbe. Run them from the repository root."""

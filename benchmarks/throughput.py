@@ -1,0 +1,275 @@
+"""Pairs a second of the three tests, against a naive enumeration and a plain copy.
+
+Run from the repository root:
+
+    python -m benchmarks.throughput
+
+What is compared runs in turn, and the medians count, of the rounds in which no
+other process disturbed (see `benchmarks.timing`). On a CPU every call is
+waited for, and the yardstick is numpy copying 240 MB. On a GPU a queue of calls is
+waited for at its end, so that launching from Python does not count, and the
+yardstick is the device's own copy of 240 MB. A copy's bandwidth is the bytes read
+plus the bytes written; a test reads 30 numbers a pair.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxbe
+from benchmarks import (
+    machine,
+    naive,
+    reference,
+    report,
+    scenes,
+    throughput_report,
+    timing,
+)
+
+COPY_BYTES = 240_000_000
+QUEUE_SECONDS = 0.05
+"""A GPU's sample takes about this long."""
+
+GROWTH_SAMPLE_SECONDS = 0.02
+"""So does a sample of a small batch, whose calls take microseconds."""
+
+TILE = 1_000_000
+"""Larger batches repeat so many pairs: the programs have no branches."""
+
+
+class Program(NamedTuple):
+    """A compiled test and its arguments.
+
+    Attributes:
+        labels: test, dtype and layout, as the report names them.
+        function: the jitted function.
+        arguments: on the device.
+    """
+
+    labels: dict[str, str]
+    function: Callable[..., jax.Array]
+    arguments: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        """One key for dictionaries."""
+        return " ".join(self.labels.values())
+
+    def __call__(self) -> jax.Array:
+        return self.function(*self.arguments)
+
+
+def programs(pairs: scenes.Scene) -> Iterator[Program]:
+    """Every method by dtype and layout, and the naive test under vmap."""
+    for dtype in ("float32", "float64"):
+        typed = scenes.Scene(*(x.astype(dtype) for x in pairs))
+        bodies, turned = typed.bodies(), component_arrays(typed)
+        for method in jaxbe.METHODS:
+            labels = {"test": method, "dtype": dtype, "layout": "vmap"}
+            yield Program(labels, by_vmap(method), bodies)
+            labels = labels | {"layout": "components"}
+            yield Program(labels, by_components(method), turned)
+        labels = {"test": "naive", "dtype": dtype, "layout": "vmap"}
+        yield Program(labels, jax.jit(jax.vmap(naive.overlap)), bodies)
+
+
+def by_vmap(method: str) -> Callable[..., jax.Array]:
+    """The test under vmap, for bodies with arrays (N, 3) and (N, 3, 3)."""
+    return jax.jit(jax.vmap(functools.partial(jaxbe.overlap, method=method)))
+
+
+def by_components(method: str) -> Callable[..., jax.Array]:
+    """The test for arrays (3, N) and (3, 3, N), turned inside jit."""
+
+    def overlap(*arrays: jax.Array) -> jax.Array:
+        batch_first = [jnp.moveaxis(x, -1, 0) for x in arrays]
+        box = jaxbe.Box.unchecked(*batch_first[:3])
+        ellipsoid = jaxbe.Ellipsoid.unchecked(*batch_first[3:])
+        return jaxbe.overlap(box, ellipsoid, method=method)
+
+    return jax.jit(overlap)
+
+
+def component_arrays(pairs: scenes.Scene) -> tuple[jax.Array, ...]:
+    """The pairs with each component contiguous in memory."""
+    return tuple(
+        jnp.asarray(np.ascontiguousarray(np.moveaxis(x, 0, -1))) for x in pairs
+    )
+
+
+def compiled_facts(program: Program, pairs: int) -> dict[str, Any]:
+    """Compile time (tracing included), memory traffic as XLA counts it, fusions."""
+    lower = lambda: program.function.lower(*program.arguments).compile()  # noqa: E731
+    compiled, seconds = timing.seconds(lower)
+    cost = compiled.cost_analysis() or {}
+    return {
+        "compile_seconds": seconds,
+        "bytes_accessed_per_pair": cost.get("bytes accessed", float("nan")) / pairs,
+        "fusions": compiled.as_text().count(" fusion("),
+    }
+
+
+def copies() -> dict[str, timing.Task]:
+    """The yardsticks by name; the last one counts."""
+    source = np.random.default_rng(0).random(COPY_BYTES // 8)
+    target = np.empty_like(source)
+    tasks = {"numpy": timing.Task(lambda: np.copyto(target, source))}
+    if on_accelerator():
+        on_device, copy = jnp.asarray(source, jnp.float32), jax.jit(jnp.copy)
+        on_device = jnp.concatenate([on_device, on_device])
+        task = timing.Task(lambda: copy(on_device), pipelined=True)
+        tasks["device"] = timing.long_enough(task, QUEUE_SECONDS)
+    return tasks
+
+
+def on_accelerator() -> bool:
+    """Whether JAX computes elsewhere than on the CPU."""
+    return jax.default_backend() != "cpu"
+
+
+def measure(n: int, repeats: int, tick: Callable[[], Any]) -> dict[str, Any]:
+    """Times all programs on n pairs, in turn with the copies.
+
+    Args:
+        n: the number of pairs.
+        repeats: the number of rounds.
+        tick: called after each compilation and each round.
+
+    Returns:
+        `copy_bandwidth` in bytes/s by name, `yardstick`, the name of the one that
+        counts, and `programs`: one dictionary of numbers each.
+    """
+    pairs = scenes.random(n)
+    expected = reference.scaled_distance(pairs) <= 1
+    entries, tasks = {}, {}
+    for program in programs(pairs):
+        facts = compiled_facts(program, n)
+        wrong = int(np.sum(np.asarray(program()) != expected))
+        entries[program.name] = program.labels | facts | {"wrong_verdicts": wrong}
+        tasks[program.name] = _task(program)
+        tick()
+    yardsticks = copies()
+    times, rounds, others = timing.interleaved(tasks | yardsticks, repeats, tick)
+    bandwidth = {name: 2 * COPY_BYTES / times[name].median for name in yardsticks}
+    yardstick = list(yardsticks)[-1]
+    for name, entry in entries.items():
+        baseline = times[f"naive {entry['dtype']} vmap"].median
+        entry["times_naive"] = baseline / times[name].median
+        entry |= _rates(n, entry, times[name], bandwidth[yardstick])
+    return {
+        "pairs": n,
+        "repeats": repeats,
+        "rounds": rounds,
+        "cores_busy_with_others": others,
+        "copy_bandwidth": bandwidth,
+        "yardstick": yardstick,
+        "programs": list(entries.values()),
+    }
+
+
+def _task(program: Program) -> timing.Task:
+    task = timing.Task(program, pipelined=on_accelerator())
+    return timing.long_enough(task, QUEUE_SECONDS) if on_accelerator() else task
+
+
+def _rates(
+    n: int, entry: dict[str, Any], time: timing.Timing, bandwidth: float
+) -> dict[str, Any]:
+    read = 30 * np.dtype(entry["dtype"]).itemsize
+    return {
+        "seconds": time._asdict(),
+        "pairs_per_second": n / time.median,
+        "share_of_copy": n * read / time.median / bandwidth,
+    }
+
+
+def measure_growth(
+    largest: int, repeats: int, tick: Callable[[], Any]
+) -> list[dict[str, Any]]:
+    """Times each method under vmap on 1, 10, 100... float32 pairs, a call at a time."""
+    pool = scenes.random(min(largest, TILE)).astype(np.float32)
+    points = []
+    for n in _powers_of_ten(largest):
+        bodies = scenes.Scene(*(np.resize(x, (n, *x.shape[1:])) for x in pool)).bodies()
+        tasks = {m: _growth_task(m, bodies) for m in jaxbe.METHODS}
+        times, _, others = timing.interleaved(tasks, repeats)
+        points += [
+            {
+                "pairs": n,
+                "test": m,
+                "seconds": t._asdict(),
+                "cores_busy_with_others": others,
+            }
+            for m, t in times.items()
+        ]
+        tick()
+    return points
+
+
+def _growth_task(method: str, bodies: tuple[Any, ...]) -> timing.Task:
+    call = functools.partial(by_vmap(method), *bodies)
+    return timing.long_enough(timing.Task(call), GROWTH_SAMPLE_SECONDS)
+
+
+def _powers_of_ten(largest: int) -> list[int]:
+    return [10**p for p in range(len(str(largest)))]
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Reads the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--pairs", type=int, default=1_000_000)
+    parser.add_argument(
+        "--largest",
+        type=int,
+        default=10_000_000,
+        metavar="PAIRS",
+        help="the largest batch of the growth table",
+    )
+    parser.add_argument("--repeats", type=int, default=21)
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="100,000 pairs at most and 5 repeats: a look, no result",
+    )
+    report.add_output_options(parser)
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw both tables")
+    options = parser.parse_args(arguments)
+    if options.quick:
+        options.pairs = min(options.pairs, 100_000)
+        options.largest = min(options.largest, 100_000)
+        options.repeats = min(options.repeats, 5)
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measures, prints, writes."""
+    options = parse(arguments)
+    jax.config.update("jax_enable_x64", True)
+    numbers: dict[str, Any] = {"machine": machine.describe()}
+    with report.progress_bar() as progress:
+        steps = 2 * (2 * len(jaxbe.METHODS) + 1) + options.repeats
+        bar = progress.add_task("throughput", total=steps)
+        numbers["throughput"] = measure(
+            options.pairs, options.repeats, lambda: progress.advance(bar)
+        )
+        bar = progress.add_task("growth", total=len(_powers_of_ten(options.largest)))
+        numbers["growth"] = measure_growth(
+            options.largest, options.repeats, lambda: progress.advance(bar)
+        )
+    report.write(options, throughput_report.text(numbers), numbers)
+    if options.figure:
+        throughput_report.draw(numbers, options.figure)
+
+
+if __name__ == "__main__":
+    main()

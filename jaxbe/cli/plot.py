@@ -1,0 +1,124 @@
+"""Plots a state with matplotlib: its boxes and ellipsoids, in true proportions."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+
+from jaxbe.cli.picture import View
+from jaxbe.mjx.pairs import BOX, ELLIPSOID
+
+ELLIPSOID_COLOR = (1.0, 0.25, 0.10, 1.0)
+BOX_COLOR = (0.10, 0.45, 1.0, 0.5)
+REST_COLOR = (0.6, 0.63, 0.65, 0.15)
+
+Points = NDArray[np.float64]
+Color = tuple[float, float, float, float]
+
+
+def plot(model: Any, view: View, path: Path) -> None:
+    """Writes a PNG: the whole scene, and the pair in focus beside it.
+
+    Args:
+        model: a `mujoco.MjModel`.
+        view: what to draw.
+        path: the file to write.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = view.qpos
+    mujoco.mj_kinematics(model, data)
+    everything = np.flatnonzero(np.isin(model.geom_type, (BOX, ELLIPSOID)))
+    figure = Figure(figsize=(14.4, 7.2), dpi=100, layout="constrained")
+    for i, (title, geoms) in enumerate(
+        [("all boxes and ellipsoids", everything.tolist()), ("the pair", view.focus)]
+    ):
+        axes = figure.add_subplot(1, 2, i + 1, projection="3d")
+        axes.set_title(title)
+        _add_geoms(axes, model, data, geoms, view.highlighted())
+    figure.savefig(path, format="png")
+
+
+def _add_geoms(
+    axes: Any, model: Any, data: Any, geoms: list[int], highlighted: set[int]
+) -> None:
+    """Adds all faces as one collection: matplotlib sorts by depth only within one."""
+    faces, colors = [], []
+    for geom in geoms:
+        is_highlighted = geom in highlighted
+        if model.geom_type[geom] == BOX:
+            own = box_faces(model.geom_size[geom], cells=16 if is_highlighted else 1)
+            color = BOX_COLOR
+        else:
+            own = ellipsoid_faces(model.geom_size[geom])
+            color = ELLIPSOID_COLOR
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        faces.append(own @ rotation.T + data.geom_xpos[geom])
+        colors += [color if is_highlighted else REST_COLOR] * len(own)
+        if model.geom_type[geom] == BOX:
+            outline = box_faces(model.geom_size[geom], cells=1)
+            _add_outline(axes, outline @ rotation.T + data.geom_xpos[geom])
+    together = np.concatenate(faces)
+    axes.add_collection3d(
+        Poly3DCollection(together, facecolors=colors, linewidths=0, shade=True)
+    )
+    _set_limits(axes, together.reshape(-1, 3))
+
+
+def box_faces(half_extents: Points, cells: int) -> Points:
+    """The faces of a box at the origin in cells x cells parts, (n, 4, 3).
+
+    Large faces would be sorted wrongly by depth.
+    """
+    ticks = np.linspace(-1, 1, cells + 1)
+    grid = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
+    square = _quadrilaterals(grid)
+    faces = [
+        np.insert(square, axis, side, axis=-1)
+        for axis, side in itertools.product(range(3), (-1, 1))
+    ]
+    return np.concatenate(faces) * half_extents
+
+
+def ellipsoid_faces(semi_axes: Points, rings: int = 16) -> Points:
+    """Quadrilaterals that cover an ellipsoid at the origin, (n, 4, 3)."""
+    polar, azimuth = np.meshgrid(
+        np.linspace(0, np.pi, rings + 1),
+        np.linspace(0, 2 * np.pi, 2 * rings + 1),
+        indexing="ij",
+    )
+    r = np.sin(polar)
+    grid = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.cos(polar)], axis=-1)
+    return _quadrilaterals(grid) * semi_axes
+
+
+def _quadrilaterals(grid: Points) -> Points:
+    """The cells of a grid of points (m, n, d), as corners (cells, 4, d)."""
+    corners = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
+    return np.stack(corners, axis=2).reshape(-1, 4, grid.shape[-1])
+
+
+def _add_outline(axes: Any, faces: Points) -> None:
+    for face in faces:
+        axes.plot(*face[[0, 1, 2, 3, 0]].T, color="black", linewidth=0.3)
+
+
+def _set_limits(axes: Any, points: Points) -> None:
+    """One scale on all axes."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    for set_limit, start, stop in zip(
+        (axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True
+    ):
+        set_limit(start, stop)
+    axes.set_box_aspect(high - low, zoom=0.9)
+    axes.locator_params(nbins=4)
+    for set_label, name in zip(
+        (axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), "xyz", strict=True
+    ):
+        set_label(f"{name} (m)")

@@ -1,0 +1,294 @@
+"""Which pairs may collide: against MJX's enumeration and MuJoCo C's contacts."""
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+from mujoco.mjx._src import collision_driver
+
+from jaxbe.mjx import Pairs, find_pairs
+from jaxbe.mjx.pairs import BOX, ELLIPSOID
+
+GEOM_TYPES = ("box", "ellipsoid", "box", "ellipsoid", "sphere", "capsule")
+
+
+def model_of(xml):
+    return mujoco.MjModel.from_xml_string(xml)
+
+
+def two_bodies(inner="", ellipsoid="", box="", option="", contact=""):
+    """An ellipsoid's body with a box's body beside it, or `inner` in it."""
+    return model_of(f"""
+    <mujoco><option>{option}</option><worldbody>
+      <body name="a"><freejoint/>
+        <geom name="e" type="ellipsoid" size="1 2 3" {ellipsoid}/>{inner}
+      </body>
+      <body name="b"><freejoint/><geom name="b" type="box" size="1 1 1" {box}/></body>
+    </worldbody><contact>{contact}</contact></mujoco>""")
+
+
+def random_model(rng, n_bodies=12):
+    """Bodies in a tree, some welded, with random bits, excludes and pairs."""
+    names = ["world"]
+    children = {"world": []}
+    n_geoms = 0
+    content = {}
+    for i in range(n_bodies):
+        name = f"body{i}"
+        children[names[rng.integers(len(names))]].append(name)
+        children[name] = []
+        names.append(name)
+    for name in names:
+        content[name] = "".join(
+            _random_geom(rng, f"geom{n_geoms + i}") for i in range(rng.integers(0, 4))
+        )
+        n_geoms += content[name].count("<geom")
+
+    def body(name):
+        joint = "<joint/>" if rng.random() < 0.6 else ""
+        inner = content[name] + "".join(map(body, children[name]))
+        inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        return f'<body name="{name}">{inertia}{joint}{inner}</body>'
+
+    def two_of(n):
+        return rng.choice(n, size=2, replace=False)
+
+    bodies = {tuple(sorted(two_of(len(names)))) for _ in range(rng.integers(0, 6))}
+    excludes = [f'<exclude body1="{names[j]}" body2="{names[i]}"/>' for i, j in bodies]
+    couples = [two_of(n_geoms) for _ in range(rng.integers(0, 6)) if n_geoms > 1]
+    pairs = [f'<pair geom1="geom{i}" geom2="geom{j}"/>' for i, j in couples]
+    flag = rng.choice(["enable", "disable"])
+    return model_of(f"""
+    <mujoco><option><flag filterparent="{flag}"/></option>
+      <worldbody>{content["world"]}{"".join(map(body, children["world"]))}</worldbody>
+      <contact>{"".join(excludes)}{"".join(pairs)}</contact>
+    </mujoco>""")
+
+
+def _random_geom(rng, name):
+    contype, conaffinity = rng.integers(0, 4, size=2)
+    return (
+        f'<geom name="{name}" type="{rng.choice(GEOM_TYPES)}" size=".3 .2 .1" '
+        f'pos="{" ".join(map(str, rng.uniform(-0.5, 0.5, 3)))}" '
+        f'contype="{contype}" conaffinity="{conaffinity}"/>'
+    )
+
+
+def by_mjx(model):
+    """The ellipsoid-box pairs that MJX itself enumerates, sorted."""
+    pairs = {(int(g1), int(g2)) for g1, g2, _ in collision_driver.geom_pairs(model)}
+    types = model.geom_type
+    return sorted(p for p in pairs if tuple(types[list(p)]) == (ELLIPSOID, BOX))
+
+
+def as_list(pairs):
+    return [tuple(p) for p in pairs.geom.tolist()]
+
+
+def test_constants_are_those_of_mujoco():
+    assert mujoco.mjtGeom.mjGEOM_ELLIPSOID == ELLIPSOID
+    assert mujoco.mjtGeom.mjGEOM_BOX == BOX
+
+
+def test_pairs_are_those_of_mjx_on_random_models():
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(300):
+        model = random_model(rng)
+        found.append(len(find_pairs(model)))
+        assert as_list(find_pairs(model)) == by_mjx(model)
+    assert np.count_nonzero(found) > 200, "most models must have pairs"
+
+
+def test_every_contact_of_mujoco_c_is_among_the_pairs():
+    rng = np.random.default_rng(1)
+    n_contacts = 0
+    for _ in range(100):
+        model = random_model(rng)
+        data = mujoco.MjData(model)
+        data.qpos[:] = rng.uniform(-3, 3, model.nq)
+        mujoco.mj_forward(model, data)
+        touching = np.sort(data.contact.geom, axis=1)
+        order = np.argsort(model.geom_type[touching], axis=1)
+        touching = np.take_along_axis(touching, order, axis=1)
+        types = model.geom_type[touching]
+        touching = touching[(types == (ELLIPSOID, BOX)).all(axis=1)]
+        n_contacts += len(touching)
+        assert {tuple(t) for t in touching.tolist()} <= set(as_list(find_pairs(model)))
+    assert n_contacts > 100
+
+
+def test_a_pair_is_ellipsoid_then_box_whatever_the_order_of_the_model():
+    model = model_of("""
+    <mujoco><worldbody>
+      <body><freejoint/><geom name="b" type="box" size="1 1 1"/></body>
+      <body><freejoint/><geom name="e" type="ellipsoid" size="1 1 1"/></body>
+    </worldbody></mujoco>""")
+    assert as_list(find_pairs(model)) == [(1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("ellipsoid", "box", "expected"),
+    [
+        ('contype="1" conaffinity="0"', 'contype="0" conaffinity="1"', 1),
+        ('contype="0" conaffinity="1"', 'contype="1" conaffinity="0"', 1),
+        ('contype="1" conaffinity="0"', 'contype="1" conaffinity="0"', 0),
+        ('contype="2" conaffinity="2"', 'contype="1" conaffinity="1"', 0),
+        ('contype="0" conaffinity="0"', "", 0),
+    ],
+)
+def test_contype_meets_conaffinity(ellipsoid, box, expected):
+    assert len(find_pairs(two_bodies(ellipsoid=ellipsoid, box=box))) == expected
+
+
+def test_excluded_bodies_do_not_collide_in_either_order():
+    assert len(find_pairs(two_bodies())) == 1
+    for names in ('body1="a" body2="b"', 'body1="b" body2="a"'):
+        model = two_bodies(contact=f"<exclude {names}/>")
+        assert len(find_pairs(model)) == 0
+
+
+def test_an_explicit_pair_overrules_every_filter_and_is_not_doubled():
+    pair = '<pair geom1="b" geom2="e"/>'
+    exclude = '<exclude body1="a" body2="b"/>'
+    no_bits = 'contype="0" conaffinity="0"'
+    assert as_list(find_pairs(two_bodies(contact=pair))) == [(0, 1)]
+    excluded = two_bodies(ellipsoid=no_bits, contact=pair + exclude)
+    assert as_list(find_pairs(excluded)) == [(0, 1)]
+
+
+CHILD = '<body><joint/><geom type="box" size="1 1 1"/></body>'
+WELDED = '<body><geom type="box" size="1 1 1"/></body>'
+GRANDCHILD = f"<body>{CHILD}</body>"
+NO_FILTER = '<flag filterparent="disable"/>'
+
+
+@pytest.mark.parametrize(
+    ("inner", "option", "expected"),
+    [
+        (CHILD, "", 1),
+        (CHILD, NO_FILTER, 2),
+        (GRANDCHILD, "", 1),  # the body between is welded to the ellipsoid's
+        (WELDED, "", 1),
+        (WELDED, NO_FILTER, 1),
+    ],
+)
+def test_parents_and_welded_bodies(inner, option, expected):
+    model = two_bodies(inner=inner, option=option)
+    assert len(find_pairs(model)) == expected
+    assert as_list(find_pairs(model)) == by_mjx(model)
+
+
+def test_children_of_the_world_collide_with_it():
+    model = model_of("""
+    <mujoco><worldbody><geom type="box" size="1 1 1"/>
+      <body><joint/><geom type="ellipsoid" size="1 1 1"/></body>
+    </worldbody></mujoco>""")
+    assert as_list(find_pairs(model)) == [(1, 0)]
+
+
+@pytest.mark.parametrize("flag", ["contact", "constraint"])
+def test_the_flags_of_the_simulation_do_not_matter(flag):
+    model = two_bodies(option=f'<flag {flag}="disable"/>')
+    assert len(find_pairs(model)) == 1
+
+
+@pytest.fixture
+def three_boxes():
+    bodies = "".join(
+        f'<body><freejoint/><geom name="b{i}" type="box" size="1 1 1"/></body>'
+        for i in range(3)
+    )
+    return model_of(f"""
+    <mujoco><worldbody>{bodies}
+      <body><freejoint/><geom name="e" type="ellipsoid" size="1 1 1"/></body>
+      <body><freejoint/><geom type="sphere" size="1"/></body>
+    </worldbody></mujoco>""")
+
+
+@pytest.mark.parametrize(
+    ("geoms", "expected"),
+    [
+        (None, [(3, 0), (3, 1), (3, 2)]),
+        (["e"], [(3, 0), (3, 1), (3, 2)]),
+        (["b1"], [(3, 1)]),
+        (["b2", "b0", "b2"], [(3, 0), (3, 2)]),
+        ([1, "b2"], [(3, 1), (3, 2)]),
+        ([np.int32(1)], [(3, 1)]),
+        ([4], []),
+        ([], []),
+    ],
+)
+def test_geoms_restrict_to_pairs_with_one_of_them(three_boxes, geoms, expected):
+    assert as_list(find_pairs(three_boxes, geoms)) == expected
+
+
+@pytest.mark.parametrize(
+    ("geoms", "message"),
+    [
+        (["nobody"], "no geom named 'nobody'"),
+        ([""], "no geom named ''"),
+        ([5], "ids must be from 0 to 4, got 5"),
+        ([-1], "ids must be from 0 to 4, got -1"),
+    ],
+)
+def test_unknown_geoms_are_named(three_boxes, geoms, message):
+    with pytest.raises(ValueError, match=message):
+        find_pairs(three_boxes, geoms)
+
+
+def test_one_string_is_not_a_list_of_names(three_boxes):
+    with pytest.raises(TypeError, match="list of names or ids, got 'b1'"):
+        find_pairs(three_boxes, "b1")
+
+
+def test_an_mjx_model_gives_the_same_pairs(three_boxes, monkeypatch):
+    key = (mjx.GeomType.ELLIPSOID, mjx.GeomType.BOX)
+    with pytest.raises(NotImplementedError):
+        mjx.put_model(three_boxes)
+    stand_in = collision_driver.ellipsoid_ellipsoid
+    monkeypatch.setitem(collision_driver._COLLISION_FUNC, key, stand_in)
+    on_device = mjx.put_model(three_boxes)
+    for geoms in (None, ["b1"], [2]):
+        expected = as_list(find_pairs(three_boxes, geoms))
+        assert as_list(find_pairs(on_device, geoms)) == expected
+
+
+def test_an_mjx_model_with_excludes_gives_the_same_pairs():
+    # The filter keeps its pairs from MJX, the explicit pair is of spheres.
+    model = model_of("""
+    <mujoco><worldbody>
+      <body name="a"><freejoint/><geom type="ellipsoid" size="1 1 1"/></body>
+      <body name="b"><freejoint/><geom type="box" size="1 1 1"/></body>
+      <body><freejoint/><geom name="s" type="sphere" size="1" contype="0"/></body>
+      <body><freejoint/><geom name="t" type="sphere" size="1" contype="0"/></body>
+    </worldbody><contact><exclude body1="a" body2="b"/><pair geom1="s" geom2="t"/>
+    </contact></mujoco>""")
+    assert len(find_pairs(mjx.put_model(model))) == 0
+
+
+def test_a_model_without_such_geoms_has_no_pairs():
+    pairs = find_pairs(model_of("<mujoco/>"))
+    assert pairs.geom.shape == (0, 2)
+    assert len(pairs) == 0
+
+
+def test_pairs_cannot_be_changed():
+    pairs = find_pairs(two_bodies())
+    with pytest.raises(ValueError, match="read-only"):
+        pairs.geom[0, 0] = 7
+
+
+def test_pairs_can_be_static_under_jit():
+    pairs = Pairs(np.array([[0, 1]]))
+    assert isinstance(hash(pairs), int)
+
+
+def test_a_model_of_many_pairs():
+    bodies = "".join(
+        f'<body><freejoint/><geom type="{kind}" size="1 1 1"/></body>'
+        for kind in ("ellipsoid", "box")
+        for _ in range(500)
+    )
+    model = model_of(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    assert len(find_pairs(model)) == 250_000
