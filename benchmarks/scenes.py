@@ -14,6 +14,9 @@ import numpy.typing as npt
 import jaxbe
 from benchmarks import reference
 
+LENGTHS = (0.05, 2.0)
+"""Half extents and semi-axes are log-uniform in this range: aspect ratios to 40."""
+
 REACH = 1.15
 """Ellipsoids' centres are uniform in the slab box B' (section 5 of the paper: the
 bounding box of the Minkowski sum) grown by this factor: 43.7 % of pairs overlap."""
@@ -61,7 +64,9 @@ class Scene(NamedTuple):
         return jaxbe.Box.unchecked(*self[:3]), jaxbe.Ellipsoid.unchecked(*self[3:])
 
 
-def random(n: int, seed: int = 0, *, low: float = 0.05, high: float = 2.0) -> Scene:
+def random(
+    n: int, seed: int = 0, *, low: float = LENGTHS[0], high: float = LENGTHS[1]
+) -> Scene:
     """Rotations uniform, lengths log-uniform, centres within reach of each other.
 
     Args:
