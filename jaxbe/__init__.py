@@ -1,7 +1,7 @@
 """Does an oriented box touch an oriented ellipsoid, by how much, which way out?"""
 
 from jaxbe.checked import checked
-from jaxbe.margin import margin, margin_bounds
+from jaxbe.margin import margin, margin_bounds, rounding_slack
 from jaxbe.overlap import METHODS, overlap
 from jaxbe.scaled_distance import scaled_distance
 from jaxbe.shapes import Box, Ellipsoid
@@ -16,5 +16,6 @@ __all__ = [
     "margin",
     "margin_bounds",
     "overlap",
+    "rounding_slack",
     "scaled_distance",
 ]

@@ -49,6 +49,11 @@ def split_matrix(x: Matrices, rank: int) -> ComponentMatrix:
     return matrix(lambda i, j: x[..., i, j])
 
 
+def stack(x: Components) -> Vectors:
+    """The array (..., 3) with these components."""
+    return jnp.stack(jnp.broadcast_arrays(*x), axis=-1)
+
+
 def dot(x: Components, y: Components) -> Scalars:
     """The scalar product."""
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]

@@ -35,9 +35,11 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxbe.components import column, dot, largest, vector, where
+from jaxbe.envelope import directional_derivative, supports
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric
-from jaxbe.pose import CanonicalPair
+from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Scalars
 
 MAX_STEPS = 8
@@ -62,25 +64,35 @@ def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
-def growth_distance(pair: CanonicalPair, steps: int) -> Scalars:
+@functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
+def growth_distance(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
     """The lower bound of alpha after `steps` steps."""
-    return growth_bounds(pair, steps)[0]
+    return growth_bounds(canonical_pair(box, ellipsoid), steps)[0]
 
 
 @growth_distance.defjvp
-def _growth_distance_jvp(steps: int, primals: Any, tangents: Any) -> Any:
+def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     """Alpha is a maximum over n: hold the best n and differentiate the quotient.
 
     By the envelope theorem that is exact, and no clip, minimum or step is ever
     differentiated. The rule calls functions that have such rules themselves, so it
     can be differentiated again.
     """
-    (pair,) = primals
-    alpha = growth_distance(pair, steps)
-    n = contact_normal(pair, alpha)
-    _, tangent = jax.jvp(lambda p: quotient(n, p), primals, tangents)
-    return alpha, jnp.where(_coincident(pair.k), 0, tangent)
+    box, ellipsoid = bodies
+    alpha = growth_distance(box, ellipsoid, steps)
+    # Each in units of its own: XLA would else find what the loops of alpha and of the
+    # three components share, and write and read 40 arrays instead of computing twice.
+    pairs = [canonical_pair(box, ellipsoid, units=units) for units in (2, 4, 8, 16)]
+    n = vector(lambda i: contact_normal(pairs[i + 1], alpha)[i])
+    at = supports(box, ellipsoid, n, pairs[0].per_unit)
+    tangent = directional_derivative(
+        at,
+        tangents,
+        of_extent=alpha,
+        of_radius=alpha,
+        scale=at.extent + at.radius,
+    )
+    return alpha, jnp.where(_coincident(pairs[0].k), 0, tangent)
 
 
 def start(pair: CanonicalPair, m: Metric) -> Iterate:
@@ -99,13 +111,6 @@ def step(iterate: Iterate, pair: CanonicalPair, m: Metric) -> Iterate:
     return Iterate(trial, lower, upper)
 
 
-def quotient(n: Components, pair: CanonicalPair) -> Scalars:
-    """n.k / (e.|n| + sqrt(n^T S n)): a lower bound of alpha for every n but 0."""
-    k, R, e, a = pair
-    radii = vector(lambda p: a[p] * dot(column(R, p), n))
-    return dot(n, k) / (_extent(n, e) + jnp.sqrt(dot(radii, radii)))
-
-
 def contact_normal(pair: CanonicalPair, alpha: Scalars) -> Components:
     """The direction n that attains alpha, scaled to the largest component 1.
 
@@ -117,7 +122,7 @@ def contact_normal(pair: CanonicalPair, alpha: Scalars) -> Components:
     lost = size == 0
     safe_size = jnp.where(lost, 1, size)
     scaled = vector(lambda i: n[i] / safe_size)
-    return where(lost, _slab_normal(pair), scaled)
+    return where(lost, _face_normal(pair.k, pair.e), scaled)
 
 
 @jax.custom_jvp
@@ -135,8 +140,10 @@ def _multipliers_jvp(primals: Any, tangents: Any) -> Any:
     """
     pair, alpha = primals
     d_pair, d_alpha = tangents
-    n = _multipliers(pair, alpha)
-    inverse = active_inverse((n[0] != 0, n[1] != 0, n[2] != 0), metric(pair.R, pair.a))
+    m = metric(pair.R, pair.a)
+    near = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m)
+    n = near.n
+    inverse = active_inverse(near.active, m)
     _, d_Sn = jax.jvp(
         lambda R, a: _shape_times(n, R, a), (pair.R, pair.a), (d_pair.R, d_pair.a)
     )
@@ -148,9 +155,9 @@ def _multipliers_jvp(primals: Any, tangents: Any) -> Any:
             - d_Sn[i]
         )
     )
-    right = vector(lambda i: jnp.where(n[i] == 0, 0, right[i]))
-    d_n = vector(lambda i: jnp.where(n[i] == 0, 0, dot(inverse[i], right)))
-    return n, d_n
+    right = vector(lambda i: jnp.where(near.active[i], right[i], 0))
+    d_n = vector(lambda i: jnp.where(near.active[i], dot(inverse[i], right), 0))
+    return _multipliers(pair, alpha), d_n
 
 
 def _newton(alpha: Scalars, near: Nearest, e: Components) -> Scalars:
@@ -168,8 +175,8 @@ def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> S
     A is s^T S_AA^-1 s with s = sign(n) e: half the curvature of q in alpha.
     """
     n = near.n
-    inverse = active_inverse((n[0] != 0, n[1] != 0, n[2] != 0), m)
-    side = vector(lambda i: jnp.sign(n[i]) * e[i])
+    inverse = active_inverse(near.active, m)
+    side = vector(lambda i: jnp.where(near.active[i], jnp.sign(n[i]) * e[i], 0))
     curvature = dot(side, vector(lambda i: dot(inverse[i], side)))
     b = alpha + _extent(n, e)
     c = near.q - alpha * alpha
@@ -215,17 +222,15 @@ def _shape_times(n: Components, R: ComponentMatrix, a: Components) -> Components
     return vector(lambda i: dot(R[i], weighted))
 
 
-def _slab_normal(pair: CanonicalPair) -> Components:
-    """The face normal, signed towards the ellipsoid, with the largest quotient."""
-    width = metric(pair.R, pair.a).width
-    ratios = vector(lambda i: abs(pair.k[i]) / (pair.e[i] + width[i]))
-    best = largest(ratios)
-    first = ratios[0] == best
-    second = ~first & (ratios[1] == best)
+def _face_normal(k: Components, e: Components) -> Components:
+    """The normal, signed towards k, of the box face with the largest |k_i| / e_i."""
+    rank = vector(lambda i: abs(k[i]) * e[(i + 1) % 3] * e[(i + 2) % 3])
+    first = (rank[0] >= rank[1]) & (rank[0] >= rank[2])
+    second = ~first & (rank[1] >= rank[2])
     chosen = (first, second, ~first & ~second)
     return vector(
-        lambda i: jnp.where(chosen[i], jnp.where(pair.k[i] < 0, -1.0, 1.0), 0.0).astype(
-            pair.k[i].dtype
+        lambda i: jnp.where(chosen[i], jnp.where(k[i] < 0, -1.0, 1.0), 0.0).astype(
+            k[i].dtype
         )
     )
 

@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.components import clip, vector, where
+from jaxbe.components import clip, dot, vector, where
 from jaxbe.metric import Metric
-from jaxbe.types import Components, Scalars
+from jaxbe.types import Components, Flags, Scalars
 
 ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
@@ -59,13 +59,14 @@ class Nearest(NamedTuple):
         x: the nearest point of the box, in box coordinates.
         n: the multipliers N (k - x): they point from the box to the ellipsoid's
             centre, are normal to the ellipsoid through x, and separate the pair
-            when q > 1; zero when k is in the box. Coordinates that are free at the
-            minimiser are exact zeros.
+            when q > 1. Zero, to rounding, where x is free, and when k is in the box.
+        active: where x is on the bounds of the box.
     """
 
     q: Scalars
     x: Components
     n: Components
+    active: tuple[Flags, Flags, Flags]
 
 
 def candidates(k: Components, e: Components, m: Metric) -> Iterator[Candidate]:
@@ -90,19 +91,36 @@ def squared_distance(k: Components, e: Components, m: Metric) -> Scalars:
 
 
 def nearest(k: Components, e: Components, m: Metric) -> Nearest:
-    """The best of the candidates, with its multipliers."""
+    """The best of the candidates, with its multipliers.
+
+    The best has the smallest sum of q and its complementarity gap, which is zero at
+    the minimiser: candidates whose q is equal to rounding can have multipliers that
+    differ by the square root of that.
+    """
     first, *others = candidates(k, e, m)
-    best = Nearest(first.q, first.x, _multipliers(first, m))
+    n = _multipliers(first, m)
+    best = (first.q + _gap(first.x, n, e), first.q, first.x, n)
     for c in others:
-        better = c.q < best.q
-        best = Nearest(
-            jnp.where(better, c.q, best.q),
-            where(better, c.x, best.x),
-            where(better, _multipliers(c, m), best.n),
+        n = _multipliers(c, m)
+        key = c.q + _gap(c.x, n, e)
+        better = key < best[0]
+        best = (
+            jnp.where(better, key, best[0]),
+            jnp.where(better, c.q, best[1]),
+            where(better, c.x, best[2]),
+            where(better, n, best[3]),
         )
-    return best._replace(
-        n=vector(lambda i: jnp.where(abs(best.x[i]) < e[i], 0, best.n[i]))
-    )
+    _, q, x, n = best
+    active = (abs(x[0]) >= e[0], abs(x[1]) >= e[1], abs(x[2]) >= e[2])
+    return Nearest(q, x, n, active)
+
+
+def _gap(x: Components, n: Components, e: Components) -> Scalars:
+    """Complementarity, e.|n| - n.x >= 0: zero if n pushes x against the bounds alone.
+
+    The bounds are compared with x before the product, so that it is an exact zero.
+    """
+    return dot(n, vector(lambda i: jnp.where(n[i] < 0, -e[i], e[i]) - x[i]))
 
 
 def _multipliers(c: Candidate, m: Metric) -> Components:

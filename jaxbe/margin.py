@@ -1,8 +1,11 @@
-"""`margin`: by how much do they touch? A smooth signed quantity."""
+"""`margin`: by how much do they touch? A smooth signed quantity, and its bounds."""
 
 from __future__ import annotations
 
 import operator
+from typing import Any
+
+import numpy as np
 
 from jaxbe.growth import MAX_STEPS, growth_bounds, growth_distance
 from jaxbe.pose import canonical_pair
@@ -11,18 +14,114 @@ from jaxbe.types import Scalars
 
 DEFAULT_STEPS = 5
 
+SLACK_ROUNDINGS = 96
+"""The constant of `rounding_slack`, in units of eps times the aspect ratio."""
+
 
 def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Scalars:
-    """The growth distance minus one."""
-    return growth_distance(canonical_pair(box, ellipsoid), _count(steps)) - 1
+    """The growth distance minus one: the factor by which both must grow to touch.
+
+    Negative when they overlap, zero at touching, positive apart; -1 at coincident
+    centres. Both bodies are scaled about their own centres. Continuously
+    differentiable in every parameter but at coincident centres, and informative at
+    any depth.
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        steps: evaluations of the kernel, from 0 to 8: accuracy for time. Every count
+            gives a lower bound that grows with the count, so that stopping early can
+            call a separated pair overlapping and never the reverse; 0 is the slab
+            box B' of the paper's section 5.
+
+    Returns:
+        Dimensionless, of the common batch shape. NaN if any number is NaN or
+        infinite. Zero half extents are legal.
+
+        Accuracy at 5 steps, relative to max(1, growth distance), largest of 100,000
+        pairs: float64 1e-15 at aspect ratios to 40 and 1e-6 to 1000 (99.9 % within
+        1e-15; at 6 steps all); float32 1e-6 and 1e-5.
+
+        Derivatives, forward and reverse, are those of the margin at the direction
+        found (envelope theorem): exact once the steps have converged, finite at
+        every finite input. At coincident centres, the tip of a cone, they are zero,
+        which is a subgradient. Second derivatives are right wherever they exist, and
+        one-sided where the contact changes between face, edge and vertex.
+
+    Raises:
+        TypeError: arguments that are not a Box and an Ellipsoid of one dtype, or
+            steps that are not a Python integer.
+        ValueError: batch shapes that do not broadcast, or steps out of range.
+
+    Source:
+        C. J. Ong and E. G. Gilbert, "Growth distances", 1996; section 5 of the
+        paper for the Minkowski sum and the slab box.
+    """
+    return growth_distance(box, ellipsoid, _count(steps)) - 1
 
 
 def margin_bounds(
     box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS
 ) -> tuple[Scalars, Scalars]:
-    """A lower and an upper bound of the margin."""
+    """A lower and an upper bound of the margin.
+
+    The lower bound is `margin` itself, from a direction; the upper comes from a point
+    that both grown bodies have in common. In exact arithmetic they hold at every
+    number of steps, and neither loosens with more. Rounding can move either past
+    the margin by `rounding_slack` times max(1, growth distance).
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        steps: as for `margin`.
+
+    Returns:
+        (lower, upper), each of the common batch shape, lower <= upper; NaN if any
+        number is NaN or infinite. Not made to be differentiated.
+
+    Raises:
+        TypeError: as `margin`.
+        ValueError: as `margin`.
+    """
     lower, upper = growth_bounds(canonical_pair(box, ellipsoid), _count(steps))
     return lower - 1, upper - 1
+
+
+def rounding_slack(dtype: Any, aspect_ratio: float) -> float:
+    """How far above zero rounding can lift the margin of a pair that overlaps.
+
+    A filter that keeps all pairs with margin(steps=s) <= rounding_slack loses none, at
+    any s. It is 96 eps times the aspect ratio; some hundred times what is observed.
+
+    Derivation, to first order, with u = eps / 2 and r the aspect ratio. The value
+    computed is (q + alpha E) / (E + sqrt(q)) for the residuals (d_i, r_j, r_l) and the
+    multipliers n made of them. Any n gives a lower bound, so only what separates this
+    expression from n.k / (e.|n| + sqrt(n^T S n)) counts. Errors of residuals act like a
+    shift of k, which moves alpha by the gauge of the shift, at most its length over
+    the smallest semi-axis; for overlapping pairs |k| is at most (1 + sqrt(3)) times
+    the longest length. In units of u r:
+
+        U^T (K - C), 4 roundings a component                                19
+        U^T V, 3 roundings an entry                                          9
+        residuals in the plane and on the line                         16 + 10
+        entries of S and of D2 N behind them, 12 roundings each        12 + 24
+        the same in the length of n, and its own sums                  36 + 13
+        axes orthonormal to 4 eps only: N is not quite S^-1                 30
+        complementarity, n.x against alpha E (the kernel's key)              6
+
+    together 175, which is less than 96 eps r. The choice of the best candidate adds
+    nothing: q plus the gap is compared, so the gap of the chosen one is of the order
+    of the above.
+
+    Args:
+        dtype: float32 or float64, of the inputs.
+        aspect_ratio: the longest half extent or semi-axis over the shortest semi-axis.
+
+    Returns:
+        The slack, dimensionless. It holds for axes that are orthonormal to 4 eps, as
+        `from_quaternion` and MuJoCo make them.
+    """
+    return SLACK_ROUNDINGS * float(np.finfo(dtype).eps) * float(aspect_ratio)
 
 
 def _count(steps: int) -> int:

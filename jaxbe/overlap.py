@@ -56,5 +56,5 @@ def overlap(
     """
     if method not in _TESTS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    k, R, e, a = canonical_pair(box, ellipsoid)
-    return _TESTS[method](k, e, metric(R, a))
+    pair = canonical_pair(box, ellipsoid)
+    return _TESTS[method](pair.k, pair.e, metric(pair.R, pair.a))

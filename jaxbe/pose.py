@@ -29,17 +29,20 @@ from jaxbe.types import ComponentMatrix, Components, Scalars
 class CanonicalPair(NamedTuple):
     """k, R, e and a (see above) as components, each an array over the batch.
 
-    Lengths are in units of `unit`, a power of two near the largest semi-axis:
-    scaling a scene by a power of two changes no bit of k, R, e and a.
+    Lengths are in units of a power of two near the largest semi-axis, `per_unit` to
+    the metre: scaling a scene by a power of two changes no bit of k, R, e and a.
     """
 
     k: Components
     R: ComponentMatrix
     e: Components
     a: Components
+    per_unit: Scalars
 
 
-def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
+def canonical_pair(
+    box: Box, ellipsoid: Ellipsoid, *, units: float = 1
+) -> CanonicalPair:
     """Expresses the ellipsoid in the frame of the box, and scales.
 
     K - C is taken first, so the distance of both bodies from the origin costs
@@ -49,6 +52,8 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
+        units: a power of two, by which all lengths are multiplied: no answer depends
+            on it.
 
     Returns:
         Components that broadcast to the common batch shape. A NaN or an
@@ -63,7 +68,7 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     U, V = split_matrix(box.axes, rank), split_matrix(ellipsoid.axes, rank)
     e = split_vector(box.half_extents, rank)
     a = split_vector(ellipsoid.semi_axes, rank)
-    per_unit = reciprocal_power_of_two(largest(a))
+    per_unit = units * reciprocal_power_of_two(largest(a))
     offset = vector(lambda i: (K[i] - C[i]) * per_unit)
     e = vector(lambda i: e[i] * per_unit)
     a = vector(lambda i: a[i] * per_unit)
@@ -71,7 +76,7 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     R = matrix(lambda i, j: dot(column(U, i), column(V, j)))
     # Zero, but NaN if any length or coordinate is NaN or infinite.
     poison = 0 * (k[0] + k[1] + k[2] + e[0] + e[1] + e[2] + a[0] + a[1] + a[2])
-    return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a)
+    return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 
 def reciprocal_power_of_two(x: Scalars) -> Scalars:

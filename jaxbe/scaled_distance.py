@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe import kernel
-from jaxbe.components import column, dot, largest, vector
+from jaxbe.components import largest, vector
+from jaxbe.envelope import directional_derivative, supports
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.pose import canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.types import Components, Scalars
+from jaxbe.types import Scalars
 
 
 def scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
@@ -40,34 +41,28 @@ def scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
     Source:
         D. Eberly, "Intersection of Box and Ellipsoid", section 4.
     """
-    return _scaled_distance(canonical_pair(box, ellipsoid))
+    return _scaled_distance(box, ellipsoid)
 
 
 @jax.custom_jvp
-def _scaled_distance(pair: CanonicalPair) -> Scalars:
+def _scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
+    pair = canonical_pair(box, ellipsoid)
     return jnp.sqrt(kernel.squared_distance(pair.k, pair.e, metric(pair.R, pair.a)))
 
 
 @_scaled_distance.defjvp
-def _scaled_distance_jvp(primals: Any, tangents: Any) -> tuple[Scalars, Scalars]:
-    """sqrt(q) is the maximum over n of `separation_ratio`; hold the best n.
-
-    By the envelope theorem that derivative is exact, and it never differentiates
-    through a clip, a minimum or the square root of zero.
-    """
-    (pair,) = primals
+def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
+    """sqrt(q) is the maximum over n of (n.k - E) / s: hold the best n."""
+    box, ellipsoid = bodies
+    distance = _scaled_distance(box, ellipsoid)
+    pair = canonical_pair(box, ellipsoid)
     n = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a)).n
     size = largest(vector(lambda i: abs(n[i])))
     inside = size == 0
     safe_size = jnp.where(inside, 1, size)
     n = vector(lambda i: jnp.where(inside, 1, n[i] / safe_size))
-    _, tangent = jax.jvp(lambda p: separation_ratio(n, p), primals, tangents)
-    return _scaled_distance(pair), jnp.where(inside, 0, tangent)
-
-
-def separation_ratio(n: Components, pair: CanonicalPair) -> Scalars:
-    """(n.k - e.|n|) / sqrt(n^T S n): above 1, the direction n separates the pair."""
-    k, R, e, a = pair
-    gap = dot(n, k) - dot(vector(lambda i: abs(n[i])), e)
-    radii = vector(lambda p: a[p] * dot(column(R, p), n))
-    return gap / jnp.sqrt(dot(radii, radii))
+    at = supports(box, ellipsoid, n, pair.per_unit)
+    tangent = directional_derivative(
+        at, tangents, of_extent=1, of_radius=distance, scale=at.radius
+    )
+    return distance, jnp.where(inside, 0, tangent)

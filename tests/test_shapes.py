@@ -142,7 +142,9 @@ def test_mirrored_axes_are_legal(kind):
 
 def test_transposed_rotation_is_a_rotation_too(kind, dtype):
     """Rotations of a batch all pass: the tolerance is not tighter than rounding."""
-    axes = scenes.rotations(np.random.default_rng(0), 10_000).astype(dtype)
+    axes = scenes.rotations(np.random.default_rng(0).normal(size=(10_000, 4))).astype(
+        dtype
+    )
     kind(np.zeros(3, dtype), axes, np.ones(3, dtype))
 
 

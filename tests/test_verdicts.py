@@ -120,7 +120,7 @@ def test_power_of_two_scaling_changes_no_bit(dtype, low):
 def test_rigid_motion_changes_no_clear_verdict(dtype, method):
     """Box and ellipsoid moved together: same answer outside the rounding band."""
     scene = scenes.random(20_000, seed=11)
-    rotation = scenes.rotations(np.random.default_rng(12), 1)[0]
+    rotation = scenes.rotations(np.random.default_rng(12).normal(size=(1, 4)))[0]
     shift = np.array([3.0, -1.0, 2.0])
     moved = scene._replace(
         C=scene.C @ rotation.T + shift,
