@@ -227,6 +227,24 @@ def test_people_get_a_table(capsys, scene):
         assert expected in out
 
 
+def test_margins_tell_how_deep(run_json, scene, tmp_path):
+    """Per pair, over the states; and the deepest overlap is the one reported."""
+    heights = ((1.0, 0.0), (0.3, 0.0), (0.25, 0.0))
+    one_by_one = [
+        run_json(scene, "--qpos", save(tmp_path, np.array(row)))["pairs"]
+        for row in heights
+    ]
+    report = run_json(scene, "--qpos", save(tmp_path, np.array(heights)))
+    for i, pair in enumerate(report["pairs"]):
+        margins = [pairs[i]["smallest_margin"] for pairs in one_by_one]
+        assert pair["smallest_margin"] == pytest.approx(min(margins), abs=1e-6)
+        assert pair["mean_margin"] == pytest.approx(np.mean(margins), abs=1e-6)
+        assert pair["overlapping"] == sum(m <= 0 for m in margins)
+    smallest = [pair["smallest_margin"] for pair in report["pairs"]]
+    assert report["deepest"]["margin"] == min(smallest) < 0
+    assert report["deepest"]["pair"] == int(np.argmin(smallest))
+
+
 def test_rows_are_limited_and_the_rest_is_counted(capsys, scene):
     assert main([scene, *FEW, "--rows", "1"]) == 0
     assert "and 1 more pairs" in capsys.readouterr().out

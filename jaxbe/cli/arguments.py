@@ -20,7 +20,9 @@ Which boxes and ellipsoids of a MuJoCo scene overlap, over many states?
 Finds the box-ellipsoid pairs that the scene lets collide, draws random states
 inside the joint ranges (or reads them from a file), and runs the three exact
 tests of jaxbe on every pair in every state. Checks the three against each other
-and, on a sample, against MuJoCo's own mj_geomDistance. Without SCENE.xml it runs
+and, on a sample, against MuJoCo's own mj_geomDistance. Also gives the margin of
+every pair, the factor by which both bodies must grow to touch, minus one: negative
+where they overlap, 0 where they touch. Without SCENE.xml it runs
 on the scene that ships with jaxbe: an arm, a table and a shelf.
 """
 

@@ -133,6 +133,8 @@ def _pair_object(report: Report, pair: int) -> dict[str, Any]:
         "geom": results.geom[pair].tolist(),
         "overlapping": int(results.overlapping[pair]),
         "smallest_scaled_distance": float(results.smallest_scaled_distance[pair]),
+        "smallest_margin": float(results.smallest_margin[pair]),
+        "mean_margin": float(results.mean_margin()[pair]),
     }
 
 
@@ -171,20 +173,22 @@ def _pair_table(report: Report, rows: int) -> Table:
     results, states = report.sweep.pairs, report.sweep.totals.states
     table = Table("ellipsoid", "box", box=None)
     table.add_column("states overlapping", justify="right")
-    table.add_column("nearest (1 touches)", justify="right")
+    table.add_column("smallest margin", justify="right")
+    table.add_column("mean margin", justify="right")
     for pair in _most_overlapping(report)[:rows]:
         count = results.overlapping[pair]
         table.add_row(
             *report.names(pair),
             f"{count:,} ({count / states:.1%})",
-            f"{results.smallest_scaled_distance[pair]:.4g}",
+            f"{results.smallest_margin[pair]:.3f}",
+            f"{results.mean_margin()[pair]:.3f}",
         )
     return table
 
 
 def _most_overlapping(report: Report) -> list[int]:
     results = report.sweep.pairs
-    order = np.lexsort((results.smallest_scaled_distance, -results.overlapping))
+    order = np.lexsort((results.smallest_margin, -results.overlapping))
     return [int(pair) for pair in order]
 
 
@@ -278,7 +282,7 @@ def _deepest(report: Report) -> list[str]:
     )
     lines = [
         f"{what}: state {deepest.state}, {_between(report, deepest.pair)}, "
-        f"scaled distance {deepest.scaled_distance:.4g}"
+        f"margin {deepest.margin:.3f} (0 touches, -1 is the deepest)"
     ]
     if report.picture is not None:
         why = f" ({report.picture.why})" if report.picture.why else ""

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxbe import METHODS, Box, Ellipsoid, overlap, scaled_distance
+from jaxbe import METHODS, Box, Ellipsoid, margin, overlap, scaled_distance
 from jaxbe.cli.rounding import ratio_rounding
 from jaxbe.cli.sample import Sample
 from jaxbe.cli.states import Floats, Poses, States, forward_kinematics
@@ -33,13 +33,15 @@ class Tests(NamedTuple):
     Attributes:
         gather: from poses to boxes and ellipsoids.
         overlap: the test of each method.
-        scaled_distance: for the report, not timed.
+        scaled_distance: for the comparisons, not timed.
+        margin: for the report, not timed.
         compile_seconds: of the test of each method.
     """
 
     gather: Callable[[Poses], tuple[Box, Ellipsoid]]
     overlap: dict[str, Callable[[Box, Ellipsoid], jax.Array]]
     scaled_distance: Callable[[Box, Ellipsoid], jax.Array]
+    margin: Callable[[Box, Ellipsoid], jax.Array]
     compile_seconds: dict[str, float]
 
 
@@ -51,28 +53,40 @@ class PairResults:
         geom: (P, 2) geom ids, [ellipsoid, box].
         overlapping: (P,) in how many states the pair overlaps.
         smallest_scaled_distance: (P,) over the states.
+        smallest_margin: (P,) over the states.
+        margin_sum: (P,) over the states whose margin is known.
+        margins: (P,) how many these are.
     """
 
     geom: NDArray[np.integer[Any]]
     overlapping: NDArray[np.int64]
     smallest_scaled_distance: Floats
+    smallest_margin: Floats
+    margin_sum: Floats
+    margins: NDArray[np.int64]
+
+    def mean_margin(self) -> Floats:
+        """(P,) over the states; NaN for a pair whose margin is nowhere known."""
+        return np.where(
+            self.margins > 0, self.margin_sum / np.maximum(self.margins, 1), np.nan
+        )
 
 
 class Deepest(NamedTuple):
-    """The state with the smallest scaled distance of all, and what overlaps there.
+    """The state with the smallest margin of all, and what overlaps there.
 
     Attributes:
         state: its number.
         qpos: (nq,).
-        pair: the pair with the smallest scaled distance.
-        scaled_distance: of that pair.
+        pair: the pair with the smallest margin.
+        margin: of that pair.
         overlapping: (P,) which pairs overlap.
     """
 
     state: int
     qpos: Floats
     pair: int
-    scaled_distance: float
+    margin: float
     overlapping: Flags
 
 
@@ -124,12 +138,14 @@ class Batch(NamedTuple):
         qpos: (n, nq).
         overlapping: (n, P) by each method.
         ratio: (n, P), `scaled_distance`.
+        margin: (n, P).
     """
 
     start: int
     qpos: Floats
     overlapping: dict[str, Flags]
     ratio: Floats
+    margin: Floats
 
 
 class Sweep:
@@ -152,6 +168,9 @@ class Sweep:
             pairs.geom,
             np.zeros(len(pairs), np.int64),
             np.full(len(pairs), np.inf),
+            np.full(len(pairs), np.inf),
+            np.zeros(len(pairs)),
+            np.zeros(len(pairs), np.int64),
         )
         self.deepest = Deepest(0, model.qpos0, 0, np.inf, np.zeros(len(pairs), bool))
         self.sample = sample
@@ -192,7 +211,8 @@ class Sweep:
             self.totals.test_seconds[method] += seconds
             overlapping[method] = np.asarray(answer)[:n]
         ratio = np.asarray(self.tests.scaled_distance(box, ellipsoid))[:n]
-        return Batch(start, qpos, overlapping, ratio)
+        margins = np.asarray(self.tests.margin(box, ellipsoid))[:n]
+        return Batch(start, qpos, overlapping, ratio, margins)
 
     def _add(self, batch: Batch) -> None:
         overlapping = batch.overlapping[METHODS[0]]
@@ -204,9 +224,16 @@ class Sweep:
         nearest = np.fmin.reduce(batch.ratio, axis=0)
         smallest = self.pairs.smallest_scaled_distance
         self.pairs.smallest_scaled_distance = np.fmin(smallest, nearest)
+        self._add_margins(batch.margin)
         self._compare(batch)
         self._keep_deepest(batch)
         self.sample.add(batch.start, batch.qpos, overlapping, batch.ratio)
+
+    def _add_margins(self, margins: Floats) -> None:
+        pairs = self.pairs
+        pairs.smallest_margin = np.fmin(pairs.smallest_margin, np.fmin.reduce(margins))
+        pairs.margin_sum += np.nansum(margins, axis=0, dtype=np.float64)
+        pairs.margins += np.count_nonzero(~np.isnan(margins), axis=0)
 
     def _compare(self, batch: Batch) -> None:
         answers = np.stack(list(batch.overlapping.values()))
@@ -222,15 +249,15 @@ class Sweep:
             self.totals.conflicts.append(conflict)
 
     def _keep_deepest(self, batch: Batch) -> None:
-        known = np.where(np.isnan(batch.ratio), np.inf, batch.ratio)
+        known = np.where(np.isnan(batch.margin), np.inf, batch.margin)
         row, pair = np.unravel_index(np.argmin(known), known.shape)
-        ratio = float(batch.ratio[row, pair])
-        if ratio < self.deepest.scaled_distance:
+        deepest = float(known[row, pair])
+        if deepest < self.deepest.margin:
             self.deepest = Deepest(
                 batch.start + int(row),
                 batch.qpos[row],
                 int(pair),
-                ratio,
+                deepest,
                 batch.overlapping[METHODS[0]][row],
             )
 
@@ -266,7 +293,8 @@ def compile_tests(pairs: Pairs, model: Any, poses: Poses) -> Tests:
         seconds[method] = time.perf_counter() - began
         _timed(tests[method], *bodies)  # The first call also loads the program.
     distance = jax.jit(scaled_distance).lower(*bodies).compile()
-    return Tests(gathering, tests, distance, seconds)
+    margins = jax.jit(margin).lower(*bodies).compile()
+    return Tests(gathering, tests, distance, margins, seconds)
 
 
 def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
