@@ -45,11 +45,13 @@ def check(scene, band):
     return verdict.mean()
 
 
+@pytest.mark.bulk
 def test_random(dtype, low, band):
     share = check(scenes.random(1_000_000, low=low).astype(dtype), band)
     assert 0.1 < share < 0.9
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("growth", [1e-9, 1e-6, 1e-4])
 def test_near_touching(dtype, low, band, growth):
     base = scenes.random(100_000, seed=5, low=low)
@@ -57,6 +59,7 @@ def test_near_touching(dtype, low, band, growth):
     assert 0.4 < share < 0.6
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("zero_extents", [1, 2, 3], ids=["plate", "rod", "point"])
 def test_flat_boxes(dtype, low, band, zero_extents):
     base = scenes.flattened(scenes.random(20_000, seed=6, low=low), zero_extents)
@@ -65,6 +68,7 @@ def test_flat_boxes(dtype, low, band, zero_extents):
     assert 0.4 < share < 0.6
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize(
     "kind",
     [scenes.spheres, scenes.axis_aligned, scenes.coincident, scenes.permuted],
@@ -79,12 +83,14 @@ def test_special_poses(dtype, low, band, kind):
     check(scenes.near_touching(base).astype(dtype), band)
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("size", [1e-15, 1e15])
 def test_sizes_in_metres(dtype, low, band, size):
     base = scenes.near_touching(scenes.random(20_000, seed=8, low=low), growth=1e-3)
     check(scenes.scaled(base, size).astype(dtype), band)
 
 
+@pytest.mark.bulk
 def test_far_from_the_origin(dtype, low, band):
     """The floats given are decided, whatever their rounding did to the scene."""
     base = scenes.random(20_000, seed=9, low=low).astype(dtype)
@@ -133,6 +139,7 @@ def test_rigid_motion_changes_no_clear_verdict(dtype, method):
     assert truth.worst_wrong(scene, truth.overlaps(scene), verdicts) <= band
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("aspect", [1e5, 1e7])
 def test_needles_and_plates_beyond_the_stated_aspects(dtype, method, aspect):
     """Wrong only within eps times the aspect ratio, whatever it is."""
