@@ -51,6 +51,12 @@ class Scene(NamedTuple):
         """The largest over the smallest semi-axis of each ellipsoid."""
         return self.a.max(axis=1) / self.a.min(axis=1)
 
+    @property
+    def spread(self) -> np.ndarray:
+        """The longest of each pair's six lengths over its smallest semi-axis."""
+        longest = np.maximum(self.a.max(axis=1), self.e.max(axis=1))
+        return longest / self.a.min(axis=1)
+
     def astype(self, dtype: npt.DTypeLike) -> Scene:
         """The same pairs, rounded."""
         return Scene(*(x.astype(dtype) for x in self))

@@ -51,10 +51,15 @@ def _faces(k: Components, e: Components, m: Metric) -> Iterator[Scalars]:
     for i, side in itertools.product(range(3), (-1, 1)):
         j, l = (i + 1) % 3, (i + 2) % 3
         d_i = side * e[i] - k[i]
-        on_face = (abs(k[j] + m.in_plane[j][i] * d_i) <= e[j]) & (
-            abs(k[l] + m.in_plane[l][i] * d_i) <= e[l]
+        on_face = _spans(j, m.in_plane[j][i] * d_i, k, e) & _spans(
+            l, m.in_plane[l][i] * d_i, k, e
         )
         yield jnp.where(on_face, m.plane[i] * d_i * d_i, jnp.inf)
+
+
+def _spans(j: int, t: Scalars, k: Components, e: Components) -> Flags:
+    """Whether the box has a point with x_j = k_j + t."""
+    return (t >= -e[j] - k[j]) & (t <= e[j] - k[j])
 
 
 def _edges(k: Components, e: Components, m: Metric) -> Iterator[Scalars]:
@@ -64,6 +69,6 @@ def _edges(k: Components, e: Components, m: Metric) -> Iterator[Scalars]:
         d_j = side_j * e[j] - k[j]
         d_l = side_l * e[l] - k[l]
         r_l = d_l - m.in_plane[l][j] * d_j
-        m_i = k[i] - (m.on_line[i][j] * d_j + m.on_line[i][l] * d_l)
-        r_i = clip(m_i, e[i]) - m_i
+        t_i = -(m.on_line[i][j] * d_j + m.on_line[i][l] * d_l)
+        r_i = clip(t_i, -e[i] - k[i], e[i] - k[i]) - t_i
         yield m.plane[j] * d_j * d_j + m.line[j][i] * r_l * r_l + m.point[i] * r_i * r_i

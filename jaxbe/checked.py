@@ -26,7 +26,8 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
             `checked(functools.partial(overlap, method="minkowski"))`.
 
     Returns:
-        A compiled function of the same arguments and result, which raises
+        A compiled function of the same positional arguments and result (not to be
+        jitted again), which raises
         `jax.experimental.checkify.JaxRuntimeError` naming argument and requirement
         if a value is not legal.
     """

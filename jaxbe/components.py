@@ -39,13 +39,13 @@ def matrix(entry: Callable[[int, int], Scalars]) -> ComponentMatrix:
 
 def split_vector(x: Vectors, rank: int) -> Components:
     """The components of an array (..., 3), with `rank` batch axes each."""
-    x = _with_rank(x, rank + 1)
+    x = with_rank(x, rank + 1)
     return vector(lambda i: x[..., i])
 
 
 def split_matrix(x: Matrices, rank: int) -> ComponentMatrix:
     """The components of an array (..., 3, 3), with `rank` batch axes each."""
-    x = _with_rank(x, rank + 2)
+    x = with_rank(x, rank + 2)
     return matrix(lambda i, j: x[..., i, j])
 
 
@@ -74,10 +74,11 @@ def where(condition: Flags, x: Components, y: Components) -> Components:
     return vector(lambda i: jnp.where(condition, x[i], y[i]))
 
 
-def clip(x: Scalars, bound: Scalars) -> Scalars:
-    """Restricts x to [-bound, bound]; NaN stays NaN."""
-    return jnp.maximum(-bound, jnp.minimum(x, bound))
+def clip(x: Scalars | float, low: Scalars, high: Scalars) -> Scalars:
+    """Restricts x to [low, high]; NaN stays NaN."""
+    return jnp.maximum(low, jnp.minimum(x, high))
 
 
-def _with_rank(x: jax.Array, rank: int) -> jax.Array:
+def with_rank(x: jax.Array, rank: int) -> jax.Array:
+    """Adds leading axes of length one, up to so many axes."""
     return lax.expand_dims(x, range(rank - x.ndim))

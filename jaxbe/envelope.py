@@ -25,6 +25,7 @@ from jaxbe.components import (
     split_vector,
     stack,
     vector,
+    with_rank,
 )
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Scalars
@@ -133,13 +134,9 @@ def directional_derivative(
 
 def _contract(tangent: jax.Array, gradient: Components) -> Scalars:
     stacked = stack(gradient)
-    return jnp.sum(_lift(tangent, stacked.ndim) * stacked, axis=-1)
+    return jnp.sum(with_rank(tangent, stacked.ndim) * stacked, axis=-1)
 
 
 def _contract_matrix(tangent: jax.Array, gradient: ComponentMatrix) -> Scalars:
     stacked = jnp.stack([stack(row) for row in gradient], axis=-2)
-    return jnp.sum(_lift(tangent, stacked.ndim) * stacked, axis=(-2, -1))
-
-
-def _lift(x: jax.Array, rank: int) -> jax.Array:
-    return jax.lax.expand_dims(x, range(rank - x.ndim))
+    return jnp.sum(with_rank(tangent, stacked.ndim) * stacked, axis=(-2, -1))

@@ -122,7 +122,7 @@ def contact_normal(pair: CanonicalPair, alpha: Scalars) -> Components:
     lost = size == 0
     safe_size = jnp.where(lost, 1, size)
     scaled = vector(lambda i: n[i] / safe_size)
-    return where(lost, _face_normal(pair.k, pair.e), scaled)
+    return where(lost, _face_normal(pair), scaled)
 
 
 @jax.custom_jvp
@@ -222,17 +222,15 @@ def _shape_times(n: Components, R: ComponentMatrix, a: Components) -> Components
     return vector(lambda i: dot(R[i], weighted))
 
 
-def _face_normal(k: Components, e: Components) -> Components:
-    """The normal, signed towards k, of the box face with the largest |k_i| / e_i."""
-    rank = vector(lambda i: abs(k[i]) * e[(i + 1) % 3] * e[(i + 2) % 3])
-    first = (rank[0] >= rank[1]) & (rank[0] >= rank[2])
-    second = ~first & (rank[1] >= rank[2])
+def _face_normal(pair: CanonicalPair) -> Components:
+    """The face normal of the box, signed towards the ellipsoid, that gave step 0."""
+    width = metric(pair.R, pair.a).width
+    ratio = vector(lambda i: abs(pair.k[i]) / (pair.e[i] + width[i]))
+    first = (ratio[0] >= ratio[1]) & (ratio[0] >= ratio[2])
+    second = ~first & (ratio[1] >= ratio[2])
     chosen = (first, second, ~first & ~second)
-    return vector(
-        lambda i: jnp.where(chosen[i], jnp.where(k[i] < 0, -1.0, 1.0), 0.0).astype(
-            k[i].dtype
-        )
-    )
+    sign = vector(lambda i: jnp.where(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype))
+    return vector(lambda i: jnp.where(chosen[i], sign[i], 0))
 
 
 def _coincident(k: Components) -> Any:

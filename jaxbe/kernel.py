@@ -36,16 +36,14 @@ class Candidate(NamedTuple):
 
     Attributes:
         order: (i, j, l), the order of clipping.
-        x: the point, in box coordinates.
-        d_i: x_i - k_i.
-        r_j: x_j minus its optimum in the plane of x_i; exactly 0 where not clipped.
-        r_l: x_l minus its optimum on the line of x_i, x_j; exactly 0 likewise.
+        d: x - k.
+        r_j: d_j minus its optimum in the plane of x_i; exactly 0 where not clipped.
+        r_l: d_l minus its optimum on the line of x_i, x_j; exactly 0 likewise.
         q: (x - k)^T N (x - k), a sum of three squares.
     """
 
     order: tuple[int, int, int]
-    x: Components
-    d_i: Scalars
+    d: Components
     r_j: Scalars
     r_l: Scalars
     q: Scalars
@@ -70,19 +68,24 @@ class Nearest(NamedTuple):
 
 
 def candidates(k: Components, e: Components, m: Metric) -> Iterator[Candidate]:
-    """The six points of the theorem, for the box |x_i| <= e_i and the centre k."""
-    first = vector(lambda i: clip(k[i], e[i]))
+    """The six points of the theorem, for the box |x_i| <= e_i and the centre k.
+
+    All is reckoned from k: in a box much larger than the ellipsoid x itself has not the
+    digits, and x - k taken from it would contradict the residuals.
+    """
+    low, high = _bounds(k, e)
+    first = vector(lambda i: clip(0, low[i], high[i]))
     for i, j, l in ORDERS:
-        d_i = first[i] - k[i]
-        m_j = k[j] + m.in_plane[j][i] * d_i
-        x_j = clip(m_j, e[j])
-        m_l = k[l] - (m.on_line[l][i] * d_i + m.on_line[l][j] * (x_j - k[j]))
-        x_l = clip(m_l, e[l])
-        r_j = x_j - m_j
-        r_l = x_l - m_l
+        d_i = first[i]
+        t_j = m.in_plane[j][i] * d_i
+        d_j = clip(t_j, low[j], high[j])
+        t_l = -(m.on_line[l][i] * d_i + m.on_line[l][j] * d_j)
+        d_l = clip(t_l, low[l], high[l])
+        r_j = d_j - t_j
+        r_l = d_l - t_l
         q = m.plane[i] * d_i * d_i + m.line[i][l] * r_j * r_j + m.point[l] * r_l * r_l
-        x = _in_place((i, j, l), first[i], x_j, x_l)
-        yield Candidate((i, j, l), x, d_i, r_j, r_l, q)
+        d = _in_place((i, j, l), d_i, d_j, d_l)
+        yield Candidate((i, j, l), d, r_j, r_l, q)
 
 
 def squared_distance(k: Components, e: Components, m: Metric) -> Scalars:
@@ -97,30 +100,37 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
     the minimiser: candidates whose q is equal to rounding can have multipliers that
     differ by the square root of that.
     """
+    low, high = _bounds(k, e)
     first, *others = candidates(k, e, m)
     n = _multipliers(first, m)
-    best = (first.q + _gap(first.x, n, e), first.q, first.x, n)
+    best = (first.q + _gap(first.d, n, low, high), first.q, first.d, n)
     for c in others:
         n = _multipliers(c, m)
-        key = c.q + _gap(c.x, n, e)
+        key = c.q + _gap(c.d, n, low, high)
         better = key < best[0]
         best = (
             jnp.where(better, key, best[0]),
             jnp.where(better, c.q, best[1]),
-            where(better, c.x, best[2]),
+            where(better, c.d, best[2]),
             where(better, n, best[3]),
         )
-    _, q, x, n = best
-    active = (abs(x[0]) >= e[0], abs(x[1]) >= e[1], abs(x[2]) >= e[2])
-    return Nearest(q, x, n, active)
+    _, q, d, n = best
+    on_bound = [(d[i] <= low[i]) | (d[i] >= high[i]) for i in range(3)]
+    active = (on_bound[0], on_bound[1], on_bound[2])
+    return Nearest(q, vector(lambda i: k[i] + d[i]), n, active)
 
 
-def _gap(x: Components, n: Components, e: Components) -> Scalars:
+def _bounds(k: Components, e: Components) -> tuple[Components, Components]:
+    """The box as seen from k: the range of d = x - k."""
+    return vector(lambda i: -e[i] - k[i]), vector(lambda i: e[i] - k[i])
+
+
+def _gap(d: Components, n: Components, low: Components, high: Components) -> Scalars:
     """Complementarity, e.|n| - n.x >= 0: zero if n pushes x against the bounds alone.
 
-    The bounds are compared with x before the product, so that it is an exact zero.
+    The bounds are compared with d before the product, so that it is an exact zero.
     """
-    return dot(n, vector(lambda i: jnp.where(n[i] < 0, -e[i], e[i]) - x[i]))
+    return dot(n, vector(lambda i: jnp.where(n[i] < 0, low[i], high[i]) - d[i]))
 
 
 def _multipliers(c: Candidate, m: Metric) -> Components:
@@ -132,7 +142,7 @@ def _multipliers(c: Candidate, m: Metric) -> Components:
     i, j, l = c.order
     on_line = m.line[i][l] * c.r_j
     on_point = m.point[l] * c.r_l
-    n_i = m.in_plane[j][i] * on_line - m.plane[i] * c.d_i - m.on_line[l][i] * on_point
+    n_i = m.in_plane[j][i] * on_line - m.plane[i] * c.d[i] - m.on_line[l][i] * on_point
     n_j = -(on_line + m.on_line[l][j] * on_point)
     return _in_place(c.order, n_i, n_j, -on_point)
 

@@ -14,8 +14,11 @@ from jaxbe.types import Scalars
 
 DEFAULT_STEPS = 5
 
-SLACK_ROUNDINGS = 96
-"""The constant of `rounding_slack`, in units of eps times the aspect ratio."""
+ARITHMETIC_ROUNDINGS = 81
+"""In `rounding_slack`, what arithmetic adds, in units of eps times the aspect ratio."""
+
+AXES_ROUNDINGS = 3.75
+"""And what each eps adds by which the axes differ from orthonormal."""
 
 
 def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Scalars:
@@ -36,15 +39,18 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
 
     Returns:
         Dimensionless, of the common batch shape. NaN if any number is NaN or
-        infinite. Zero half extents are legal.
+        infinite, and in float32 where the centres are further apart than some 1e18 of
+        the smallest semi-axis. Zero half extents are legal.
 
         Accuracy at 5 steps, relative to max(1, growth distance), largest of 100,000
-        pairs: float64 1e-15 at aspect ratios to 40 and 1e-6 to 1000 (99.9 % within
-        1e-15; at 6 steps all); float32 1e-6 and 1e-5.
+        pairs: float64 1e-8 at spreads (see `overlap`) to 40 and 1e-5 to 1000, 99.9 %
+        within 1e-11; float32 2e-6 and 3e-5, 99.9 % within 5e-7 and 3e-6.
 
         Derivatives, forward and reverse, are those of the margin at the direction
-        found (envelope theorem): exact once the steps have converged, finite at
-        every finite input. At coincident centres, the tip of a cone, they are zero,
+        found (envelope theorem): exact once the steps have converged, and finite. In
+        the single entries of the axes, which a rotation cannot vary alone, they are
+        those of the support functions (see `jaxbe.envelope`), as if the value were
+        computed from S alone. At coincident centres, the tip of a cone, they are zero,
         which is a subgradient. Second derivatives are right wherever they exist, and
         one-sided where the contact changes between face, edge and vertex.
 
@@ -87,11 +93,12 @@ def margin_bounds(
     return lower - 1, upper - 1
 
 
-def rounding_slack(dtype: Any, aspect_ratio: float) -> float:
+def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) -> float:
     """How far above zero rounding can lift the margin of a pair that overlaps.
 
-    A filter that keeps all pairs with margin(steps=s) <= rounding_slack loses none, at
-    any s. It is 96 eps times the aspect ratio; some hundred times what is observed.
+    A filter that drops only pairs with margin(steps=s) > rounding_slack loses none, at
+    any s, NaN included. It is 96 eps times the aspect ratio by default, some fifty
+    times what is observed.
 
     Derivation, to first order, with u = eps / 2 and r the aspect ratio. The value
     computed is (q + alpha E) / (E + sqrt(q)) for the residuals (d_i, r_j, r_l) and the
@@ -106,29 +113,39 @@ def rounding_slack(dtype: Any, aspect_ratio: float) -> float:
         residuals in the plane and on the line                         16 + 10
         entries of S and of D2 N behind them, 12 roundings each        12 + 24
         the same in the length of n, and its own sums                  36 + 13
-        axes orthonormal to 4 eps only: N is not quite S^-1                 30
+        axes orthonormal to axes_error eps only: N is not quite S^-1  7.5 each
         complementarity, n.x against alpha E (the kernel's key)              6
 
-    together 175, which is less than 96 eps r. The choice of the best candidate adds
-    nothing: q plus the gap is compared, so the gap of the chosen one is of the order
-    of the above.
+    together 145 and, with an axes_error of 4, 175: less than 96 eps r.
+    The choice of the best candidate adds nothing: q plus the gap is compared, so the
+    gap of the chosen one is of the order of the above.
 
     Args:
         dtype: float32 or float64, of the inputs.
         aspect_ratio: the longest half extent or semi-axis over the shortest semi-axis.
+        axes_error: by how many eps the axes may differ from orthonormal. 4 suffices
+            for `from_quaternion` and MuJoCo C; MJX in float32 drifts to tens along a
+            chain of bodies.
 
     Returns:
-        The slack, dimensionless. It holds for axes that are orthonormal to 4 eps, as
-        `from_quaternion` and MuJoCo make them.
+        The slack, dimensionless.
+
+    Raises:
+        ValueError: an aspect ratio below one.
     """
-    return SLACK_ROUNDINGS * float(np.finfo(dtype).eps) * float(aspect_ratio)
+    if not aspect_ratio >= 1:
+        raise ValueError(f"aspect_ratio must be at least 1, got {aspect_ratio}")
+    roundings = ARITHMETIC_ROUNDINGS + AXES_ROUNDINGS * axes_error
+    return roundings * float(np.finfo(dtype).eps) * float(aspect_ratio)
 
 
 def _count(steps: int) -> int:
     try:
         count = operator.index(steps)
     except TypeError:
-        raise TypeError(f"steps must be a Python integer, got {steps!r}") from None
+        raise TypeError(
+            f"steps must be a Python integer (static under jit), got {steps!r}"
+        ) from None
     if not 0 <= count <= MAX_STEPS:
         raise ValueError(f"steps must be from 0 to {MAX_STEPS}, got {count}")
     return count

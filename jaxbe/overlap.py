@@ -42,10 +42,12 @@ def overlap(
         half extents (plate, rod, point) are legal.
 
         Accuracy: the verdict is right wherever the ratio sqrt(q) of
-        `scaled_distance` differs from 1 by more than 1e-5 in float32 at aspect
-        ratios (largest over smallest semi-axis) to 40, 1e-4 to 1000; in float64
-        1e-12 and 1e-10. Aspect ratios above 1e9 leave float32: such a pair counts
-        as overlapping if it cannot be decided.
+        `scaled_distance` differs from 1 by more than 1e-5 in float32 at spreads to
+        40, 1e-4 to 1000; in float64 1e-12 and 1e-10. The spread is the longest half
+        extent or semi-axis, or the distance of the centres if that is longer, over
+        the smallest semi-axis: a box much larger than the ellipsoid widens the band
+        in proportion. Aspect ratios of the ellipsoid above 1e9 leave float32: such a
+        pair counts as overlapping if it cannot be decided.
 
     Raises:
         TypeError: arguments that are not a Box and an Ellipsoid of one dtype.
@@ -54,7 +56,7 @@ def overlap(
     Source:
         D. Eberly, "Intersection of Box and Ellipsoid", 1998-2014.
     """
-    if method not in _TESTS:
+    if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     pair = canonical_pair(box, ellipsoid)
     return _TESTS[method](pair.k, pair.e, metric(pair.R, pair.a))

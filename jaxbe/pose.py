@@ -74,8 +74,9 @@ def canonical_pair(
     a = vector(lambda i: a[i] * per_unit)
     k = vector(lambda i: dot(column(U, i), offset))
     R = matrix(lambda i, j: dot(column(U, i), column(V, j)))
-    # Zero, but NaN if any length or coordinate is NaN or infinite.
-    poison = 0 * (k[0] + k[1] + k[2] + e[0] + e[1] + e[2] + a[0] + a[1] + a[2])
+    # Zero, but NaN if any length, coordinate or axis is NaN or infinite.
+    lengths = k[0] + k[1] + k[2] + e[0] + e[1] + e[2] + a[0] + a[1] + a[2]
+    poison = 0 * (lengths + (R[0][0] + R[0][1] + R[0][2]))
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 

@@ -29,10 +29,14 @@ def scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
     Returns:
         Dimensionless, of the common batch shape: 0 if the centre is in the box,
         1 at touching, NaN if any number is NaN or infinite. In float32 right to
-        1e-5 (relative to max(1, answer)) at aspect ratios to 40, 1e-4 to 1000.
+        1e-5 (relative to max(1, answer)) at spreads (see `overlap`) to 40, 1e-4 to
+        1000, and finite as long as the centres are nearer than some 1e18 of the
+        smallest semi-axis.
 
-        Derivatives, forward and reverse, are exact in all inputs and finite; zero
-        where the centre is in the box, where the function is constant.
+        First derivatives, forward and reverse, are exact and finite; zero where the
+        centre is in the box, where the function is constant. In the single entries of
+        the axes, which a rotation cannot vary alone, they are those of the support
+        functions (see `jaxbe.envelope`). For second derivatives use `margin`.
 
     Raises:
         TypeError: arguments that are not a Box and an Ellipsoid of one dtype.

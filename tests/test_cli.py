@@ -577,10 +577,16 @@ def test_only_differences_beyond_the_tolerance_count(gap, counted):
 
 def test_rounding_is_what_the_tests_promise():
     axes = np.array([[1, 1, 1], [40, 1, 1], [41, 1, 2], [1000, 1, 1], [1e4, 1, 1]])
-    float32 = ratio_rounding(axes, "float32")
+    unit = np.ones_like(axes)
+    float32 = ratio_rounding(unit, axes, "float32")
     np.testing.assert_allclose(float32, [1e-5, 1e-5, 1e-4, 1e-4, 1e-3])
-    float64 = ratio_rounding(axes, "float64")
+    float64 = ratio_rounding(unit, axes, "float64")
     np.testing.assert_allclose(float64, [1e-12, 1e-12, 1e-10, 1e-10, 1e-9])
+
+
+def test_rounding_grows_with_a_box_much_larger_than_the_ellipsoid():
+    unit = np.ones((1, 3))
+    np.testing.assert_allclose(ratio_rounding(1e4 * unit, unit, "float32"), 1e-3)
 
 
 def test_rounding_in_metres_grows_with_the_distance_from_the_origin():

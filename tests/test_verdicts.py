@@ -8,7 +8,7 @@ import pytest
 
 import jaxbe
 from benchmarks import scenes
-from tests import truth
+from tests import oracle, truth
 
 BANDS = {
     ("float64", 0.05): 1e-12,
@@ -166,3 +166,28 @@ def test_undecidable_pairs_count_as_overlapping(dtype, method, bad, field):
     bodies = jaxbe.Box.unchecked(C, U, e), jaxbe.Ellipsoid.unchecked(K, V, a)
     assert np.all(overlap(method)(*bodies))
     assert np.all(np.isnan(jaxbe.scaled_distance(*bodies)))
+
+
+def rod_and_ellipsoid(height, dtype):
+    """A rod of 1e10 m beside an ellipsoid of 1 m: x has not the digits, x - k has."""
+    box = jaxbe.Box(*(np.array(x, dtype) for x in ([0] * 3, np.eye(3), [0, 1e10, 0])))
+    wxyz, semi_axes = np.array([0.9, 0.1, 0.3, 0.2]), np.array([1, 0.5, 0.2])
+    ellipsoid = jaxbe.Ellipsoid.from_quaternion(
+        np.array([0, 2e9, height], dtype), wxyz.astype(dtype), semi_axes.astype(dtype)
+    )
+    return box, ellipsoid
+
+
+@pytest.mark.parametrize("height", [0.1, 0.252, 1.1])
+def test_a_box_much_larger_than_the_ellipsoid(height, method):
+    """The centre of the ellipsoid is a float; so all three must be right to rounding."""
+    box, ellipsoid = rod_and_ellipsoid(height, np.float32)
+    exact = oracle.exact(*(np.asarray(x, float).tolist() for x in (
+        box.center, box.axes, box.half_extents,
+        ellipsoid.center, ellipsoid.axes, ellipsoid.semi_axes,
+    )))  # fmt: skip
+    q = float(oracle.squared_distance(exact))
+    found = float(jaxbe.scaled_distance(box, ellipsoid))
+    assert found == pytest.approx(q**0.5, rel=1e-5)
+    assert float(jaxbe.margin(box, ellipsoid)) == pytest.approx(q**0.5 - 1, abs=1e-5)
+    assert bool(overlap(method)(box, ellipsoid)) == (q <= 1)

@@ -37,8 +37,8 @@ how states are drawn:
 
 what counts as disagreement:
   Between the three tests: different answers although scaled_distance differs from
-  1 by more than rounding (float32: 1e-5 at aspect ratios of the ellipsoid to 40,
-  1e-4 to 1000; float64: 1e-12 and 1e-10).
+  1 by more than rounding (float32: 1e-5 where the longest length is to 40 times
+  the smallest semi-axis, 1e-4 to 1000 times; float64: 1e-12 and 1e-10).
   With MuJoCo C: different answers although MuJoCo's distance differs from 0 by
   more than its ccd_tolerance plus what rounding can move the bodies.
   The sample is half pairs that overlap, half that do not, near ones preferred.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import platform
 from typing import Any
 
@@ -58,7 +59,7 @@ class Report:
 def show(report: Report, options: Options) -> None:
     """Prints the report to standard output."""
     if options.json:
-        print(json.dumps(as_object(report, options)))
+        print(json.dumps(_finite(as_object(report, options)), allow_nan=False))
         return
     console = Console(highlight=False, markup=False)
     for part in (
@@ -104,6 +105,16 @@ def as_object(report: Report, options: Options) -> dict[str, Any]:
         "picture": None if report.picture is None else report.picture._asdict(),
         "agree": report.agree(),
     }
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for NaN and infinity, which JSON has not."""
+    if isinstance(value, dict):
+        return {key: _finite(x) for key, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(x) for x in value]
+    is_bad = isinstance(value, float) and not math.isfinite(value)
+    return None if is_bad else value
 
 
 def versions() -> dict[str, str]:

@@ -6,29 +6,31 @@ import numpy as np
 
 from jaxbe.cli.states import Floats
 
-MODERATE_ASPECT, LARGE_ASPECT = 40, 1000
+MODERATE_SPREAD, LARGE_SPREAD = 40, 1000
 
 _RATIO_ROUNDING = {"float32": (1e-5, 1e-4), "float64": (1e-12, 1e-10)}
-"""As documented of `jaxbe.overlap`, to either aspect ratio."""
+"""As documented of `jaxbe.overlap`, to either spread."""
 
 
-def ratio_rounding(semi_axes: Floats, dtype: str) -> Floats:
+def ratio_rounding(half_extents: Floats, semi_axes: Floats, dtype: str) -> Floats:
     """How near 1 a `scaled_distance` must be for rounding to decide the answer.
 
-    Beyond an aspect ratio of 1000, for which nothing is promised, it grows in
-    proportion to the ratio.
+    By the spread: the longest length over the smallest semi-axis. Beyond 1000, for
+    which nothing is promised, it grows in proportion.
 
     Args:
-        semi_axes: (n, 3).
+        half_extents: (n, 3) of the box.
+        semi_axes: (n, 3) of the ellipsoid.
         dtype: what the tests compute in.
 
     Returns:
         (n,)
     """
     fine, coarse = _RATIO_ROUNDING[dtype]
-    aspect = semi_axes.max(axis=1) / semi_axes.min(axis=1)
-    growth = np.maximum(1, aspect / LARGE_ASPECT)
-    return np.where(aspect <= MODERATE_ASPECT, fine, coarse * growth)
+    longest = np.maximum(half_extents.max(axis=1), semi_axes.max(axis=1))
+    spread = longest / semi_axes.min(axis=1)
+    growth = np.maximum(1, spread / LARGE_SPREAD)
+    return np.where(spread <= MODERATE_SPREAD, fine, coarse * growth)
 
 
 def rounding_in_metres(
@@ -52,5 +54,5 @@ def rounding_in_metres(
     """
     eps = float(np.finfo(dtype).eps)
     lengths = abs(centers).sum(axis=(1, 2)) + half_extents.sum(1) + semi_axes.sum(1)
-    growth = ratio_rounding(semi_axes, dtype) * semi_axes.max(axis=1)
+    growth = ratio_rounding(half_extents, semi_axes, dtype) * semi_axes.max(axis=1)
     return np.asarray(growth + eps * lengths)

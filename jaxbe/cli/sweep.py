@@ -178,8 +178,8 @@ class Sweep:
         self._model = model
         self._poses = initial_poses(model, batch, dtype)
         self.tests = compile_tests(pairs, model, self._poses)
-        semi_axes = model.geom_size[pairs.geom[:, 0]]
-        self._rounding = ratio_rounding(semi_axes, dtype)
+        ellipsoid, box = (model.geom_size[pairs.geom[:, i]] for i in range(2))
+        self._rounding = ratio_rounding(box, ellipsoid, dtype)
 
     def run(self, data: Any, states: States) -> Iterator[int]:
         """Does the work; yields how many states are done after every batch.
