@@ -54,8 +54,8 @@ def of_center(function: Function) -> Callable[[jax.Array], jax.Array]:
 
 def grid(columns: int, rows: int) -> np.ndarray:
     """Points (rows, columns, 3) of the slice."""
-    x = np.linspace(-REACH[0], REACH[0], columns, dtype=np.float32)
-    y = np.linspace(-REACH[1], REACH[1], rows, dtype=np.float32)
+    x = np.linspace(-REACH[0], REACH[0], columns)
+    y = np.linspace(-REACH[1], REACH[1], rows)
     return np.stack([*np.meshgrid(x, y), np.zeros((rows, columns), x.dtype)], axis=-1)
 
 

@@ -42,9 +42,9 @@ from jaxbe.pose import CanonicalPair, canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Scalars
 
-MAX_STEPS = 8
+MAX_STEPS = 6
 """More gain nothing (float64 is exhausted at aspect ratios to 1e7), and a chain of
-twelve is beyond what XLA's CPU backend fuses well: it runs a thousand times slower."""
+eight is beyond what XLA's CPU backend fuses well: it runs a hundred times slower."""
 
 
 class Iterate(NamedTuple):

@@ -236,9 +236,9 @@ def test_what_is_not_finite_gives_nan(dtype, bad, kind):
 def test_steps_are_checked(query):
     bodies = scenes.random(2).bodies()
     for steps in (2.5, "3", None):
-        with pytest.raises(TypeError, match="steps must be a Python integer, got"):
+        with pytest.raises(TypeError, match="steps must be a Python integer"):
             query(*bodies, steps=steps)
-    with pytest.raises(TypeError, match="steps must be a Python integer, got"):
+    with pytest.raises(TypeError, match="steps must be a Python integer"):
         jax.jit(lambda s: query(*bodies, steps=s))(3)
     for steps in (-1, MAX_STEPS + 1):
         with pytest.raises(ValueError, match=f"from 0 to {MAX_STEPS}, got {steps}"):

@@ -213,6 +213,7 @@ def hessian_errors(found, expected):
     return np.max(abs(found - expected), axis=(1, 2)) / scale
 
 
+@pytest.mark.bulk
 def test_hessian_against_differences_of_the_gradient():
     """By all lengths and coordinates.
 
@@ -238,6 +239,7 @@ def test_hessian_against_second_differences_of_the_reference():
     assert np.percentile(errors, 95) <= 1e-4
 
 
+@pytest.mark.bulk
 def test_hessian_is_the_derivative_of_the_gradient():
     """Forward over reverse, one product at a time."""
     x = jnp.asarray(mr.flat(scenes.random(HESSIANS, seed=67)))
@@ -248,6 +250,7 @@ def test_hessian_is_the_derivative_of_the_gradient():
     assert np.max(abs(np.asarray(forward) - expected) / scale) <= 1e-9
 
 
+@pytest.mark.bulk
 def test_hessian_is_finite(dtype):
     """All kinds in one test: compiling is what costs."""
     for kind, bend in KINDS.items():

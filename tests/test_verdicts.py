@@ -180,7 +180,7 @@ def rod_and_ellipsoid(height, dtype):
 
 @pytest.mark.parametrize("height", [0.1, 0.252, 1.1])
 def test_a_box_much_larger_than_the_ellipsoid(height, method):
-    """The centre of the ellipsoid is a float; so all three must be right to rounding."""
+    """The numbers given are floats, so all three must be right to rounding."""
     box, ellipsoid = rod_and_ellipsoid(height, np.float32)
     exact = oracle.exact(*(np.asarray(x, float).tolist() for x in (
         box.center, box.axes, box.half_extents,
