@@ -63,7 +63,7 @@ def measure(band: Band, pairs: int, seed: int, tick: Callable[[], Any]) -> Any:
 def _measure_chunk(pairs: scenes.Scene) -> dict[str, Any]:
     truth = margin_scenes.truth(pairs)
     overlapping, separated = truth < -TOUCHING, truth > TOUCHING
-    spread = pair_spread(pairs)
+    spread = pairs.astype(np.float64).spread
     slack = np.array([rounding_slack(DTYPE, x) for x in spread])
     roundings = {"aspect": pairs.aspect.astype(np.float64), "spread": spread}
     units = {name: np.finfo(DTYPE).eps * x for name, x in roundings.items()}
@@ -79,16 +79,6 @@ def _measure_chunk(pairs: scenes.Scene) -> dict[str, Any]:
             for steps in range(MAX_STEPS + 1)
         ],
     }
-
-
-def pair_spread(pairs: scenes.Scene) -> np.ndarray:
-    """The longest of the six lengths over the shortest semi-axis.
-
-    A thin box beside a small ellipsoid is as delicate as a thin ellipsoid: the
-    rounding of U^T (K - C) counts in units of the thickness of both together.
-    """
-    longest = np.maximum(pairs.a.max(axis=1), pairs.e.max(axis=1))
-    return longest.astype(np.float64) / pairs.a.min(axis=1)
 
 
 def _by_steps(
