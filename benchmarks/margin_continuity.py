@@ -24,7 +24,8 @@ import numpy as np
 
 import jaxbe
 from benchmarks import machine, report, scenes
-from jaxbe.growth import contact_normal, growth_bounds
+from jaxbe.contact_normal import contact_normal
+from jaxbe.growth import growth_bounds
 from jaxbe.margin import DEFAULT_STEPS
 from jaxbe.pose import canonical_pair
 
@@ -81,7 +82,7 @@ def active_axes(path: Path3, t: jax.Array) -> jax.Array:
 
     def at(t: jax.Array) -> jax.Array:
         pair = canonical_pair(*path.bodies(t))
-        n = contact_normal(pair, growth_bounds(pair, DEFAULT_STEPS)[0])
+        n = contact_normal(pair, growth_bounds(pair, DEFAULT_STEPS)[0]).n
         return sum((abs(x) > 1e-9).astype(int) for x in n)
 
     return jax.vmap(at)(t)

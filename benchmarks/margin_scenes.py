@@ -11,7 +11,8 @@ import numpy as np
 
 import jaxbe
 from benchmarks import scenes
-from jaxbe.growth import MAX_STEPS, contact_normal
+from jaxbe.contact_normal import contact_normal
+from jaxbe.growth import MAX_STEPS
 from jaxbe.pose import canonical_pair
 
 THIN, LONG = (0.01, 0.05), (0.5, 2.0)
@@ -53,7 +54,7 @@ def _normals(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
     """The contact normals (N, 3) in box axes."""
     pair = canonical_pair(box, ellipsoid)
     growth = 1 + jaxbe.margin(box, ellipsoid, steps=MAX_STEPS)
-    return jnp.stack(contact_normal(pair, growth), axis=-1)
+    return jnp.stack(contact_normal(pair, growth).n, axis=-1)
 
 
 def near_touching(pairs: scenes.Scene, growth: np.ndarray) -> scenes.Scene:

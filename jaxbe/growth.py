@@ -32,19 +32,25 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from jaxbe.components import column, dot, largest, vector, where
-from jaxbe.envelope import directional_derivative, supports
+from jaxbe.components import dot, largest, split_vector, vector
+from jaxbe.contact_normal import ContactNormal, contact_normal
+from jaxbe.envelope import directional_derivative
+from jaxbe.kept import kept, kept_pair
 from jaxbe.kernel import Nearest, nearest
-from jaxbe.metric import Metric, active_inverse, metric
-from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.metric import Metric, active_inverse, metric, squared_length
+from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.types import ComponentMatrix, Components, Scalars
+from jaxbe.types import Components, Scalars
 
-MAX_STEPS = 6
-"""More gain nothing (float64 is exhausted at aspect ratios to 1e7), and a chain of
-eight is beyond what XLA's CPU backend fuses well: it runs a hundred times slower."""
+MAX_STEPS = 10
+"""More gain nothing at aspect ratios to 1e7, in either dtype."""
+
+STEPS_A_LOOP = 5
+"""Steps left to the compiler as one expression. XLA cuts expressions of more than some
+3000 operations into functions that call each other, and what they share is computed
+again by each: eight steps run a thousand times slower. What precedes is a loop of its
+own (see `jaxbe.kept`), in other units, or else XLA would look for what both share."""
 
 
 class Iterate(NamedTuple):
@@ -57,11 +63,33 @@ class Iterate(NamedTuple):
 
 def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     """A lower and an upper bound of alpha after `steps` steps."""
-    m = metric(pair.R, pair.a)
-    iterate = start(pair, m)
-    for _ in range(steps):
-        iterate = step(iterate, pair, m)
+    first = max(0, steps - STEPS_A_LOOP)
+    iterate = start(pair, metric(pair.R, pair.a))
+    if first:
+        iterate = _first_loop(pair, first)
+        pair = in_other_units(pair, 4)
+    iterate = _more_steps(iterate, pair, steps - first)
     return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
+
+
+def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
+    """Some steps in loops of their own; see STEPS_A_LOOP."""
+    trial, lower, _ = _first_steps(pair, count)
+    *_, upper = _first_steps(in_other_units(pair, 2), count)
+    trial, lower = kept_pair(trial, lower, pair.a[0])
+    # Twice, as a number with one use is not kept.
+    return Iterate(trial, lower, jnp.minimum(*kept_pair(upper, upper, pair.a[0])))
+
+
+def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
+    return _more_steps(start(pair, metric(pair.R, pair.a)), pair, count)
+
+
+def _more_steps(iterate: Iterate, pair: CanonicalPair, count: int) -> Iterate:
+    m = metric(pair.R, pair.a)
+    for _ in range(count):
+        iterate = step(iterate, pair, m)
+    return iterate
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -80,25 +108,42 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     """
     box, ellipsoid = bodies
     alpha = growth_distance(box, ellipsoid, steps)
-    # Each in units of its own: XLA would else find what the loops of alpha and of the
-    # three components share, and write and read 40 arrays instead of computing twice.
-    pairs = [canonical_pair(box, ellipsoid, units=units) for units in (2, 4, 8, 16)]
-    n = vector(lambda i: contact_normal(pairs[i + 1], alpha)[i])
-    at = supports(box, ellipsoid, n, pairs[0].per_unit)
+    given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
+    alpha = kept(alpha, given)
+    n, radius = _kept_normal(box, ellipsoid, alpha)
     tangent = directional_derivative(
-        at,
-        tangents,
-        of_extent=alpha,
-        of_radius=alpha,
-        scale=at.extent + at.radius,
+        bodies, tangents, n, radius, of_extent=alpha, of_radius=alpha
     )
-    return alpha, jnp.where(_coincident(pairs[0].k), 0, tangent)
+    return alpha, tangent
+
+
+def _kept_normal(
+    box: Box, ellipsoid: Ellipsoid, alpha: Scalars
+) -> tuple[Components, Scalars]:
+    """The contact normal, with e.|n| + radius = 1 in metres; 0 for coincident centres.
+
+    In two loops of their own.
+    """
+    given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
+    pair = canonical_pair(box, ellipsoid)
+    n, _ = _masked_normal(in_other_units(pair, 8), alpha)
+    m, radius = _masked_normal(in_other_units(pair, 16), alpha)
+    n_0, n_1 = kept_pair(n[0], n[1], given)
+    n_2, radius = kept_pair(m[2], radius, given)
+    return (n_0, n_1, n_2), radius
+
+
+def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
+    n, radius = contact_normal(pair, alpha)
+    here = _coincident(pair.k)
+    metres = vector(lambda i: jnp.where(here, 0, n[i] * pair.per_unit))
+    return ContactNormal(metres, radius)
 
 
 def start(pair: CanonicalPair, m: Metric) -> Iterate:
     """Step 0: the slab box B' of section 5 below, the ellipsoid alone above."""
     lower = largest(vector(lambda i: abs(pair.k[i]) / (pair.e[i] + m.width[i])))
-    return Iterate(lower, lower, _norm(pair.k, pair))
+    return Iterate(lower, lower, jnp.sqrt(squared_length(pair.k, m)))
 
 
 def step(iterate: Iterate, pair: CanonicalPair, m: Metric) -> Iterate:
@@ -106,58 +151,9 @@ def step(iterate: Iterate, pair: CanonicalPair, m: Metric) -> Iterate:
     alpha = iterate.trial
     near = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m)
     lower = jnp.maximum(iterate.lower, _newton(alpha, near, pair.e))
-    upper = jnp.minimum(iterate.upper, _feasible(alpha, near, pair))
+    upper = jnp.minimum(iterate.upper, _feasible(alpha, near, pair.e, m))
     trial = jnp.maximum(lower, _parabola_root(alpha, near, pair.e, m))
     return Iterate(trial, lower, upper)
-
-
-def contact_normal(pair: CanonicalPair, alpha: Scalars) -> Components:
-    """The direction n that attains alpha, scaled to the largest component 1.
-
-    Where the grown box reaches the centre to rounding (a needle seen end on beside
-    a huge box, or coincident centres) it is the best face normal of the box.
-    """
-    n = _multipliers(pair, alpha)
-    size = lax.stop_gradient(largest(vector(lambda i: abs(n[i]))))
-    lost = size == 0
-    safe_size = jnp.where(lost, 1, size)
-    scaled = vector(lambda i: n[i] / safe_size)
-    return where(lost, _face_normal(pair), scaled)
-
-
-@jax.custom_jvp
-def _multipliers(pair: CanonicalPair, alpha: Scalars) -> Components:
-    grown = vector(lambda i: alpha * pair.e[i])
-    return nearest(pair.k, grown, metric(pair.R, pair.a)).n
-
-
-@_multipliers.defjvp
-def _multipliers_jvp(primals: Any, tangents: Any) -> Any:
-    """n_A = S_AA^-1 (k - sign(n) alpha e)_A on the active set A, differentiated.
-
-    The formulas of the kernel take S and N for inverses of each other, which holds
-    along rotations only; this one is right in all entries of the axes.
-    """
-    pair, alpha = primals
-    d_pair, d_alpha = tangents
-    m = metric(pair.R, pair.a)
-    near = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m)
-    n = near.n
-    inverse = active_inverse(near.active, m)
-    _, d_Sn = jax.jvp(
-        lambda R, a: _shape_times(n, R, a), (pair.R, pair.a), (d_pair.R, d_pair.a)
-    )
-    sign = vector(lambda i: jnp.sign(n[i]))
-    right = vector(
-        lambda i: (
-            d_pair.k[i]
-            - sign[i] * (d_alpha * pair.e[i] + alpha * d_pair.e[i])
-            - d_Sn[i]
-        )
-    )
-    right = vector(lambda i: jnp.where(near.active[i], right[i], 0))
-    d_n = vector(lambda i: jnp.where(near.active[i], dot(inverse[i], right), 0))
-    return _multipliers(pair, alpha), d_n
 
 
 def _newton(alpha: Scalars, near: Nearest, e: Components) -> Scalars:
@@ -186,51 +182,29 @@ def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> S
     return alpha + jnp.where(lost, 0, c / jnp.where(lost, 1, total))
 
 
-def _feasible(alpha: Scalars, near: Nearest, pair: CanonicalPair) -> Scalars:
+def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalars:
     """An upper bound of alpha, from the nearest point x of the grown box.
 
     (1 + rho) x is in the box grown by alpha (1 + rho); it is in the ellipsoid grown
     so as well if q - 2 rho alpha E + rho^2 x^T N x <= alpha^2 (1 + rho)^2. Without a
     real root there remains max(alpha, sqrt(q)).
+
+    Written for one loop: no root with two uses, nothing compared with a quotient.
     """
-    b = alpha * (alpha + _extent(near.n, pair.e))
-    c = near.q - alpha * alpha
-    reach = _norm(near.x, pair)
-    discriminant = b * b + (alpha - reach) * (alpha + reach) * c
+    square = alpha * alpha
+    b = alpha * (alpha + _extent(near.n, e))
+    c = near.q - square
+    discriminant = b * b + (square - squared_length(near.x, m)) * c
     total = b + jnp.sqrt(jnp.maximum(discriminant, 0))
-    usable = (discriminant >= 0) & (total > 0)
+    usable = (discriminant >= 0) & (total > 0) & (c > -total)
     rho = c / jnp.where(usable, total, 1)
-    simple = jnp.maximum(alpha, jnp.sqrt(near.q))
-    usable = usable & (rho > -1)
+    simple = jnp.sqrt(jnp.maximum(square, near.q))
     return jnp.where(usable, jnp.minimum(simple, alpha * (1 + rho)), simple)
 
 
 def _extent(n: Components, e: Components) -> Scalars:
     """E = e.|n|, the support function of the box."""
     return dot(vector(lambda i: abs(n[i])), e)
-
-
-def _norm(x: Components, pair: CanonicalPair) -> Scalars:
-    """sqrt(x^T N x), the length of x in ellipsoid radii."""
-    y = vector(lambda p: dot(column(pair.R, p), x) / pair.a[p])
-    return jnp.sqrt(dot(y, y))
-
-
-def _shape_times(n: Components, R: ComponentMatrix, a: Components) -> Components:
-    """S n."""
-    weighted = vector(lambda p: a[p] * a[p] * dot(column(R, p), n))
-    return vector(lambda i: dot(R[i], weighted))
-
-
-def _face_normal(pair: CanonicalPair) -> Components:
-    """The face normal of the box, signed towards the ellipsoid, that gave step 0."""
-    width = metric(pair.R, pair.a).width
-    ratio = vector(lambda i: abs(pair.k[i]) / (pair.e[i] + width[i]))
-    first = (ratio[0] >= ratio[1]) & (ratio[0] >= ratio[2])
-    second = ~first & (ratio[1] >= ratio[2])
-    chosen = (first, second, ~first & ~second)
-    sign = vector(lambda i: jnp.where(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype))
-    return vector(lambda i: jnp.where(chosen[i], sign[i], 0))
 
 
 def _coincident(k: Components) -> Any:

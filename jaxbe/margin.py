@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxbe.growth import MAX_STEPS, growth_bounds, growth_distance
+from jaxbe.kept import kept_pair
 from jaxbe.pose import canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
@@ -89,7 +90,8 @@ def margin_bounds(
         TypeError: as `margin`.
         ValueError: as `margin`.
     """
-    lower, upper = growth_bounds(canonical_pair(box, ellipsoid), _count(steps))
+    pair = canonical_pair(box, ellipsoid)
+    lower, upper = kept_pair(*growth_bounds(pair, _count(steps)), pair.a[0])
     return lower - 1, upper - 1
 
 

@@ -72,6 +72,13 @@ def metric(R: ComponentMatrix, a: Components) -> Metric:
     )
 
 
+def squared_length(x: Components, m: Metric) -> Scalars:
+    """The form x^T N x."""
+    r_1 = x[1] - m.in_plane[1][0] * x[0]
+    r_2 = x[2] + (m.on_line[2][0] * x[0] + m.on_line[2][1] * x[1])
+    return m.plane[0] * x[0] * x[0] + m.line[0][2] * r_1 * r_1 + m.point[2] * r_2 * r_2
+
+
 def active_inverse(active: tuple[Flags, Flags, Flags], m: Metric) -> ComponentMatrix:
     """(S_AA)^-1 for the set A of active coordinates, without cancellation.
 

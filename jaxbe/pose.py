@@ -40,9 +40,7 @@ class CanonicalPair(NamedTuple):
     per_unit: Scalars
 
 
-def canonical_pair(
-    box: Box, ellipsoid: Ellipsoid, *, units: float = 1
-) -> CanonicalPair:
+def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     """Expresses the ellipsoid in the frame of the box, and scales.
 
     K - C is taken first, so the distance of both bodies from the origin costs
@@ -52,8 +50,6 @@ def canonical_pair(
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        units: a power of two, by which all lengths are multiplied: no answer depends
-            on it.
 
     Returns:
         Components that broadcast to the common batch shape. A NaN or an
@@ -68,7 +64,7 @@ def canonical_pair(
     U, V = split_matrix(box.axes, rank), split_matrix(ellipsoid.axes, rank)
     e = split_vector(box.half_extents, rank)
     a = split_vector(ellipsoid.semi_axes, rank)
-    per_unit = units * reciprocal_power_of_two(largest(a))
+    per_unit = reciprocal_power_of_two(largest(a))
     offset = vector(lambda i: (K[i] - C[i]) * per_unit)
     e = vector(lambda i: e[i] * per_unit)
     a = vector(lambda i: a[i] * per_unit)
@@ -78,6 +74,18 @@ def canonical_pair(
     lengths = k[0] + k[1] + k[2] + e[0] + e[1] + e[2] + a[0] + a[1] + a[2]
     poison = 0 * (lengths + (R[0][0] + R[0][1] + R[0][2]))
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
+
+
+def in_other_units(pair: CanonicalPair, factor: int) -> CanonicalPair:
+    """All lengths multiplied by a power of two, which changes no answer.
+
+    XLA writes down and reads again, in dozens of arrays, what two loops share. Loops
+    in different units share nothing.
+    """
+    k, e, a = (
+        (x * factor, y * factor, z * factor) for x, y, z in (pair.k, pair.e, pair.a)
+    )
+    return CanonicalPair(k, pair.R, e, a, pair.per_unit * factor)
 
 
 def reciprocal_power_of_two(x: Scalars) -> Scalars:

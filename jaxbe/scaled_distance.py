@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe import kernel
-from jaxbe.components import largest, vector
-from jaxbe.envelope import directional_derivative, supports
+from jaxbe.components import split_vector, vector
+from jaxbe.envelope import directional_derivative
+from jaxbe.kept import kept, kept_pair
 from jaxbe.metric import metric
-from jaxbe.pose import canonical_pair
+from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.types import Scalars
+from jaxbe.types import Components, Scalars
 
 
 def scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
@@ -59,14 +60,26 @@ def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     """sqrt(q) is the maximum over n of (n.k - E) / s: hold the best n."""
     box, ellipsoid = bodies
     distance = _scaled_distance(box, ellipsoid)
+    given = split_vector(ellipsoid.semi_axes, distance.ndim)[0]
+    distance = kept(distance, given)
     pair = canonical_pair(box, ellipsoid)
-    n = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a)).n
-    size = largest(vector(lambda i: abs(n[i])))
-    inside = size == 0
-    safe_size = jnp.where(inside, 1, size)
-    n = vector(lambda i: jnp.where(inside, 1, n[i] / safe_size))
-    at = supports(box, ellipsoid, n, pair.per_unit)
+    n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], given)
+    n_2 = kept(_normal(in_other_units(pair, 4))[2], given)
+    one = jnp.ones_like(distance)
     tangent = directional_derivative(
-        at, tangents, of_extent=1, of_radius=distance, scale=at.radius
+        bodies, tangents, (n_0, n_1, n_2), one, of_extent=one, of_radius=distance
     )
-    return distance, jnp.where(inside, 0, tangent)
+    return distance, tangent
+
+
+def _normal(pair: CanonicalPair) -> Components:
+    """The best direction n with s = 1, in 1 / metre; zero where the centre is inside.
+
+    The kernel's own n has s = sqrt(q).
+    """
+    near = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a))
+    inside = near.q == 0
+    root = jnp.sqrt(near.q) / pair.per_unit
+    return vector(
+        lambda i: jnp.where(inside, 0, near.n[i] / jnp.where(inside, 1, root))
+    )

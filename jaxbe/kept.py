@@ -1,0 +1,51 @@
+"""Arrays to be computed once, for XLA's CPU backend.
+
+A loop that it makes has one result. What several results need it computes again for
+each, and on the way cuts a kernel into dozens of loops; only a division is never done
+twice. Divided by one, an array is one loop and stays; two arrays, as a complex number,
+are one loop too. To other backends it makes no difference, and to derivatives none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxbe.types import Scalars
+
+
+@jax.custom_jvp
+def kept(x: Scalars, given: Scalars) -> Scalars:
+    """The array x.
+
+    Args:
+        x: what several results need.
+        given: an array at hand, best an argument of the program; NaN makes x NaN.
+    """
+    return x / _one(given)
+
+
+@kept.defjvp
+def _kept_jvp(primals: Any, tangents: Any) -> Any:
+    return kept(*primals), tangents[0]
+
+
+@jax.custom_jvp
+def kept_pair(x: Scalars, y: Scalars, given: Scalars) -> tuple[Scalars, Scalars]:
+    """The arrays x and y, of one shape, from one loop; `given` as for `kept`."""
+    one = _one(given)
+    both = lax.complex(x, y) / lax.complex(one, jnp.zeros_like(one))
+    return both.real, both.imag
+
+
+@kept_pair.defjvp
+def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
+    return kept_pair(*primals), tangents[:2]
+
+
+def _one(given: Scalars) -> Scalars:
+    """1, in a way that the compiler does not see through."""
+    return jnp.where(given == given, 1, jnp.nan).astype(given.dtype)
