@@ -33,7 +33,7 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        steps: evaluations of the kernel, from 0 to 6: accuracy for time. Every count
+        steps: evaluations of the kernel, from 0 to 10: accuracy for time. Every count
             gives a lower bound that grows with the count, so that stopping early can
             call a separated pair overlapping and never the reverse; 0 is the slab
             box B' of the paper's section 5.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import jax
@@ -47,3 +48,10 @@ def bytes_accessed(function, *args) -> float:
     """Bytes that the compiled program reads and writes."""
     analysis = jax.jit(function).lower(*args).compile().cost_analysis()
     return analysis["bytes accessed"]
+
+
+def largest_expression(function, *args) -> int:
+    """Operations in the largest fused loop of the compiled program."""
+    text = jax.jit(function).lower(*args).compile().as_text()
+    bodies = re.findall(r"^%fused_computation[^\n]*\{\n(.*?)^\}", text, re.S | re.M)
+    return max(len(body.splitlines()) for body in bodies)

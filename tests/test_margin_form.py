@@ -1,0 +1,65 @@
+"""The margin's programs: few loops, and none too large to compile well."""
+
+import functools
+
+import jax
+import pytest
+
+import jaxbe
+from benchmarks import scenes
+from jaxbe.growth import MAX_STEPS, STEPS_A_LOOP
+from tests import programs
+
+LARGEST = 3000
+"""Operations in a loop: beyond, XLA's CPU backend runs a thousand times slower."""
+
+ALL_STEPS = range(MAX_STEPS + 1)
+FIELDS = [
+    (body, field)
+    for body, kind in enumerate((jaxbe.Box, jaxbe.Ellipsoid))
+    for field in kind.__dataclass_fields__
+]
+
+pytestmark = pytest.mark.skipif(
+    jax.default_backend() != "cpu", reason="other backends fuse in other ways"
+)
+
+
+@pytest.fixture
+def bodies(dtype):
+    return scenes.random(10_000).astype(dtype).bodies()
+
+
+@pytest.mark.parametrize("steps", ALL_STEPS)
+def test_margin_is_one_loop_or_two(bodies, steps):
+    function = jax.vmap(functools.partial(jaxbe.margin, steps=steps))
+    assert programs.fusions(function, *bodies) == 1 + (steps > STEPS_A_LOOP)
+    assert programs.largest_expression(function, *bodies) <= LARGEST
+
+
+@pytest.mark.parametrize("steps", ALL_STEPS)
+def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
+    """And two small ones that take them apart."""
+    function = jax.vmap(functools.partial(jaxbe.margin_bounds, steps=steps))
+    assert programs.fusions(function, *bodies) <= 3 + 2 * (steps > STEPS_A_LOOP)
+    assert programs.largest_expression(function, *bodies) <= LARGEST
+
+
+@pytest.mark.parametrize("query", [jaxbe.margin, jaxbe.scaled_distance])
+def test_all_gradients_take_twelve_loops(bodies, query):
+    """One for the value, two for the normal, the rest for what is returned."""
+    function = jax.vmap(jax.value_and_grad(query, argnums=(0, 1)))
+    assert programs.fusions(function, *bodies) <= 12
+    assert programs.largest_expression(function, *bodies) <= LARGEST
+
+
+@pytest.mark.parametrize(("body", "field"), FIELDS)
+def test_gradient_in_one_field_takes_eight_loops(bodies, body, field):
+    def value(x, pair):
+        changed = type(pair[body]).unchecked(
+            *(pair[body].fields() | {field: x}).values()
+        )
+        return jaxbe.margin(*(changed if i == body else pair[i] for i in range(2)))
+
+    function = jax.vmap(jax.value_and_grad(value))
+    assert programs.fusions(function, getattr(bodies[body], field), bodies) <= 8
