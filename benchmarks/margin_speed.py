@@ -76,7 +76,7 @@ def naive_minimum(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
     k = box.axes.T @ (ellipsoid.center - box.center)
     R = box.axes.T @ ellipsoid.axes
     N = (R / (ellipsoid.semi_axes**2)[None, :]) @ R.T
-    candidates = (naive._value(s, k, box.half_extents, N) for s in naive.ACTIVE_SETS)
+    candidates = (naive.value(s, k, box.half_extents, N) for s in naive.ACTIVE_SETS)
     return functools.reduce(jnp.minimum, candidates)
 
 

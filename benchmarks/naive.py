@@ -24,11 +24,11 @@ def overlap(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
     k = box.axes.T @ (ellipsoid.center - box.center)
     R = box.axes.T @ ellipsoid.axes
     N = (R / (ellipsoid.semi_axes**2)[None, :]) @ R.T
-    values = (_value(sigma, k, box.half_extents, N) for sigma in ACTIVE_SETS)
+    values = (value(sigma, k, box.half_extents, N) for sigma in ACTIVE_SETS)
     return functools.reduce(jnp.minimum, values) <= 1
 
 
-def _value(
+def value(
     sigma: tuple[int, ...], k: jax.Array, e: jax.Array, N: jax.Array
 ) -> jax.Array:
     """The quadratic at the optimum of one active set; infinity if not in the box."""

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.components import clip, dot, vector, where
+from jaxbe.components import clip, vector, where
 from jaxbe.metric import Metric
 from jaxbe.types import Components, Flags, Scalars
 
@@ -58,7 +58,7 @@ class Nearest(NamedTuple):
         n: the multipliers N (k - x): they point from the box to the ellipsoid's
             centre, are normal to the ellipsoid through x, and separate the pair
             when q > 1. Zero, to rounding, where x is free, and when k is in the box.
-        active: where x is on the bounds of the box.
+        active: where x is held by a bound of the box: n is not zero.
     """
 
     q: Scalars
@@ -103,10 +103,10 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
     low, high = _bounds(k, e)
     first, *others = candidates(k, e, m)
     n = _multipliers(first, m)
-    best = (first.q + _gap(first.d, n, low, high), first.q, first.d, n)
+    best = (first.q + _gap(first, n, low, high), first.q, first.d, n)
     for c in others:
         n = _multipliers(c, m)
-        key = c.q + _gap(c.d, n, low, high)
+        key = c.q + _gap(c, n, low, high)
         better = key < best[0]
         best = (
             jnp.where(better, key, best[0]),
@@ -115,8 +115,7 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
             where(better, n, best[3]),
         )
     _, q, d, n = best
-    on_bound = [(d[i] <= low[i]) | (d[i] >= high[i]) for i in range(3)]
-    active = (on_bound[0], on_bound[1], on_bound[2])
+    active = (n[0] != 0, n[1] != 0, n[2] != 0)
     return Nearest(q, vector(lambda i: k[i] + d[i]), n, active)
 
 
@@ -125,12 +124,18 @@ def _bounds(k: Components, e: Components) -> tuple[Components, Components]:
     return vector(lambda i: -e[i] - k[i]), vector(lambda i: e[i] - k[i])
 
 
-def _gap(d: Components, n: Components, low: Components, high: Components) -> Scalars:
+def _gap(c: Candidate, n: Components, low: Components, high: Components) -> Scalars:
     """Complementarity, e.|n| - n.x >= 0: zero if n pushes x against the bounds alone.
 
-    The bounds are compared with d before the product, so that it is an exact zero.
+    The bounds are compared with d before the product, so that it is an exact zero. The
+    coordinate clipped last has none: n_l = -N_ll r_l pushes the way it was clipped.
     """
-    return dot(n, vector(lambda i: jnp.where(n[i] < 0, low[i], high[i]) - d[i]))
+    i, j, _ = c.order
+
+    def slack(p: int) -> Scalars:
+        return n[p] * (jnp.where(n[p] < 0, low[p], high[p]) - c.d[p])
+
+    return slack(i) + slack(j)
 
 
 def _multipliers(c: Candidate, m: Metric) -> Components:
