@@ -45,7 +45,8 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
 
         Accuracy at 5 steps, relative to max(1, growth distance), largest of 100,000
         pairs: float64 1e-8 at spreads (see `overlap`) to 40 and 1e-5 to 1000, 99.9 %
-        within 1e-11; float32 2e-6 and 3e-5, 99.9 % within 5e-7 and 3e-6.
+        within 1e-11; float32 2e-6 and 3e-5, 99.9 % within 5e-7 and 3e-6. Of 1,000,000
+        pairs to 1000 in float64 6e-5 at 5 steps, 1e-6 at 6 and 4e-14 at 7.
 
         Derivatives, forward and reverse, are those of the margin at the direction
         found (envelope theorem): exact once the steps have converged, and finite. In
