@@ -1,6 +1,8 @@
 """Does an oriented box touch an oriented ellipsoid, by how much, which way out?"""
 
 from jaxbe.checked import checked
+from jaxbe.contact import Contact, contact
+from jaxbe.distance import distance_bounds, signed_distance
 from jaxbe.margin import margin, margin_bounds, rounding_slack
 from jaxbe.overlap import METHODS, overlap
 from jaxbe.scaled_distance import scaled_distance
@@ -11,11 +13,15 @@ __version__ = "0.1.0"
 __all__ = [
     "METHODS",
     "Box",
+    "Contact",
     "Ellipsoid",
     "checked",
+    "contact",
+    "distance_bounds",
     "margin",
     "margin_bounds",
     "overlap",
     "rounding_slack",
     "scaled_distance",
+    "signed_distance",
 ]

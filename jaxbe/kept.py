@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from jaxbe.types import Scalars
@@ -49,3 +50,12 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
 def _one(given: Scalars) -> Scalars:
     """1, in a way that the compiler does not see through."""
     return jnp.where(given == given, 1, jnp.nan).astype(given.dtype)
+
+
+def shared(x: Scalars) -> Scalars:
+    """The quotient or root x, about to be used several times within one loop.
+
+    XLA gives those a loop of their own, and with them all that is used both before and
+    after. A cheap operation on top of it may be repeated, and keeps the loop in one.
+    """
+    return jnp.maximum(x, np.asarray(np.finfo(x.dtype).min, x.dtype))

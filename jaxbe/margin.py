@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from jaxbe.kept import kept_pair
 from jaxbe.pose import canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
+from jaxbe.validate import as_count
 
 DEFAULT_STEPS = 5
 
@@ -65,7 +65,7 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
         C. J. Ong and E. G. Gilbert, "Growth distances", 1996; section 5 of the
         paper for the Minkowski sum and the slab box.
     """
-    return growth_distance(box, ellipsoid, _count(steps)) - 1
+    return growth_distance(box, ellipsoid, as_count("steps", steps, 0, MAX_STEPS)) - 1
 
 
 def margin_bounds(
@@ -92,7 +92,9 @@ def margin_bounds(
         ValueError: as `margin`.
     """
     pair = canonical_pair(box, ellipsoid)
-    lower, upper = kept_pair(*growth_bounds(pair, _count(steps)), pair.a[0])
+    lower, upper = kept_pair(
+        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), pair.a[0]
+    )
     return lower - 1, upper - 1
 
 
@@ -140,15 +142,3 @@ def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) ->
         raise ValueError(f"aspect_ratio must be at least 1, got {aspect_ratio}")
     roundings = ARITHMETIC_ROUNDINGS + AXES_ROUNDINGS * axes_error
     return roundings * float(np.finfo(dtype).eps) * float(aspect_ratio)
-
-
-def _count(steps: int) -> int:
-    try:
-        count = operator.index(steps)
-    except TypeError:
-        raise TypeError(
-            f"steps must be a Python integer (static under jit), got {steps!r}"
-        ) from None
-    if not 0 <= count <= MAX_STEPS:
-        raise ValueError(f"steps must be from 0 to {MAX_STEPS}, got {count}")
-    return count

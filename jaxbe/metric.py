@@ -9,6 +9,7 @@ determinant D2 = (a_0 a_1 a_2)^2, the adjugate of S, so that it needs no divisio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -47,6 +48,44 @@ class Metric(NamedTuple):
     on_line: ComponentMatrix
 
 
+class Shape(NamedTuple):
+    """An ellipsoid's form: what S and D2 N are made of, which adds up with inflation.
+
+    Attributes:
+        squares: a_p^2.
+        S: the shape matrix.
+        adjugate: D2 N.
+    """
+
+    squares: Components
+    S: ComponentMatrix
+    adjugate: ComponentMatrix
+
+
+def shape(R: ComponentMatrix, a: Components) -> Shape:
+    """The form of an ellipsoid with axes R and semi-axes a."""
+    squares = vector(lambda p: a[p] * a[p])
+    products = vector(lambda p: squares[(p + 1) % 3] * squares[(p + 2) % 3])
+    return Shape(squares, _congruence(R, squares), _congruence(R, products))
+
+
+def inflated(form: Shape, mu: Scalars) -> Shape:
+    """The form with squares a_p^2 + mu, mu >= 0: no diagonal entry cancels."""
+    S = form.S
+    trace = S[0][0] + S[1][1] + S[2][2]
+
+    def adjugate(i: int, j: int) -> Scalars:
+        if i != j:
+            return form.adjugate[i][j] - mu * S[i][j]
+        return form.adjugate[i][i] + mu * (trace - S[i][i] + mu)
+
+    return Shape(
+        vector(lambda p: form.squares[p] + mu),
+        matrix(lambda i, j: S[i][j] + mu if i == j else S[i][j]),
+        matrix(adjugate),
+    )
+
+
 def metric(R: ComponentMatrix, a: Components) -> Metric:
     """Computes the metric of an ellipsoid with axes R and semi-axes a.
 
@@ -55,13 +94,15 @@ def metric(R: ComponentMatrix, a: Components) -> Metric:
     1e-19 (aspect ratios to 1e9). Below that entries overflow to infinity or
     become NaN, and so does what is computed from them.
     """
-    squares = vector(lambda p: a[p] * a[p])
-    products = vector(lambda p: squares[(p + 1) % 3] * squares[(p + 2) % 3])
-    S = _congruence(R, squares)
-    D2N = _congruence(R, products)
-    per_S = vector(lambda i: 1 / S[i][i])
-    per_D2N = vector(lambda i: 1 / D2N[i][i])
-    per_D2 = 1 / (squares[0] * products[0])
+    return metric_of(shape(R, a))
+
+
+def metric_of(form: Shape, hold: Callable[[Scalars], Scalars] = lambda x: x) -> Metric:
+    """The metric of a form; `hold` is applied to the quotients in it."""
+    squares, S, D2N = form
+    per_S = vector(lambda i: hold(1 / S[i][i]))
+    per_D2N = vector(lambda i: hold(1 / D2N[i][i]))
+    per_D2 = hold(1 / (squares[0] * (squares[1] * squares[2])))
     return Metric(
         width=vector(lambda i: jnp.sqrt(S[i][i])),
         plane=per_S,
@@ -73,7 +114,7 @@ def metric(R: ComponentMatrix, a: Components) -> Metric:
 
 
 def squared_length(x: Components, m: Metric) -> Scalars:
-    """The form x^T N x."""
+    """Of x in the metric, squared: x^T N x."""
     r_1 = x[1] - m.in_plane[1][0] * x[0]
     r_2 = x[2] + (m.on_line[2][0] * x[0] + m.on_line[2][1] * x[1])
     return m.plane[0] * x[0] * x[0] + m.line[0][2] * r_1 * r_1 + m.point[2] * r_2 * r_2

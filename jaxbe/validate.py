@@ -7,6 +7,7 @@ compiled code (`jaxbe.checked`).
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -33,6 +34,24 @@ class Rule(NamedTuple):
     argument: str
     requirement: str
     ok: Any
+
+
+def as_count(name: str, count: Any, least: int, most: int) -> int:
+    """A number of steps, which is part of the program.
+
+    Raises:
+        TypeError: not a Python integer.
+        ValueError: out of range.
+    """
+    try:
+        number = operator.index(count)
+    except TypeError:
+        raise TypeError(
+            f"{name} must be a Python integer (static under jit), got {count!r}"
+        ) from None
+    if not least <= number <= most:
+        raise ValueError(f"{name} must be from {least} to {most}, got {number}")
+    return number
 
 
 def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array]:

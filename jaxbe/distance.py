@@ -1,0 +1,115 @@
+"""`signed_distance` and its bounds, in metres."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxbe.closest import closest
+from jaxbe.components import column, dot, vector
+from jaxbe.growth import growth_bounds
+from jaxbe.kernel import squared_distance
+from jaxbe.metric import metric
+from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.types import Components, Scalars
+from jaxbe.validate import as_count
+
+DEFAULT_STEPS = 8
+MAX_STEPS = 24
+
+
+def signed_distance(
+    box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS
+) -> Scalars:
+    """The distance in metres: Euclidean when apart, minus a depth when overlapping.
+
+    The depth is the length of the shortest translation found that takes them apart:
+    an upper bound of the penetration depth always, for the depth has several local
+    minima. Of 2,000 random overlapping pairs it was the least one within 0.05 % in
+    98 %, within 2 % in 99 %, and at most 1.4 times it; right where they overlap little
+    (growth distance above 0.9).
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        steps: 1 to 24: evaluations of the kernel for pairs apart; steps // 2
+            rounds of refinement for those that overlap.
+
+    Returns:
+        Metres, of the common batch shape. The sign is that of `overlap`; 0 at touching,
+        to rounding. NaN if any number is NaN or infinite. Every count gives a lower
+        bound. At 8 steps and semi-axes and extents from 0.05 to 2 m it is right to
+        1e-10 of 1 mm + distance in float64, and to 1e-6 of the pair's size in float32.
+
+        Derivatives, forward and reverse, are those of the distance along the direction
+        found: exact and finite in all 30 inputs. Where several directions are equally
+        good (coincident centres, symmetric poses) they are those of one of them.
+
+    Raises:
+        TypeError: arguments that are not a Box and an Ellipsoid of one dtype, or
+            steps that are not a Python integer.
+        ValueError: batch shapes that do not broadcast, or steps out of range.
+    """
+    return closest(box, ellipsoid, as_count("steps", steps, 1, MAX_STEPS)).distance
+
+
+def distance_bounds(
+    box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS
+) -> tuple[Scalars, Scalars]:
+    """A lower and an upper bound of the signed distance.
+
+    The lower bound is `signed_distance`: the value along a direction, of which the
+    truth is the largest. The upper one is the distance of two points, one of either
+    body, when they are apart. When they overlap, a ball about the ellipsoid's centre
+    that the Minkowski sum of the bodies (section 5 of the paper) contains: with alpha
+    an upper bound of the growth distance it has the radius (1 - alpha) times the
+    smallest half extent plus the smallest semi-axis. In exact arithmetic both hold at
+    any number of steps.
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        steps: as for `signed_distance`.
+
+    Returns:
+        (lower, upper) in metres; NaN if any number is NaN or infinite. Not made to be
+        differentiated.
+
+    Raises:
+        TypeError: as `signed_distance`.
+        ValueError: as `signed_distance`.
+    """
+    steps = as_count("steps", steps, 1, MAX_STEPS)
+    n, lower = closest(box, ellipsoid, steps)
+    pair = canonical_pair(box, ellipsoid)
+    on_box, on_ellipsoid = witness_points(pair, n)
+    between = vector(lambda i: on_box[i] - on_ellipsoid[i])
+    apart = jnp.sqrt(dot(between, between)) / pair.per_unit
+    overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
+    upper = jnp.where(overlaps, -_contained_ball(pair), apart)
+    return lower, jnp.maximum(lower, upper)
+
+
+def witness_points(pair: CanonicalPair, n: Components) -> tuple[Components, Components]:
+    """The points x of the box and y of the ellipsoid that are extreme along n.
+
+    In box coordinates and the pair's units. Where n_i is zero x_i is free, and taken
+    next to y_i.
+    """
+    along = vector(lambda p: pair.a[p] * dot(column(pair.R, p), n))
+    radius = jnp.sqrt(dot(along, along))
+    reach = vector(lambda p: pair.a[p] * along[p] / radius)
+    y = vector(lambda i: pair.k[i] - dot(pair.R[i], reach))
+
+    def coordinate(i: int) -> Scalars:
+        free = jnp.maximum(-pair.e[i], jnp.minimum(y[i], pair.e[i]))
+        return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * pair.e[i])
+
+    return vector(coordinate), y
+
+
+def _contained_ball(pair: CanonicalPair) -> Scalars:
+    """The radius, in metres, of a ball about k in the Minkowski sum."""
+    _, alpha = growth_bounds(pair, 5)
+    smallest = [jnp.minimum(jnp.minimum(x[0], x[1]), x[2]) for x in (pair.e, pair.a)]
+    return jnp.maximum(1 - alpha, 0) * (smallest[0] + smallest[1]) / pair.per_unit

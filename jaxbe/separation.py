@@ -1,0 +1,136 @@
+"""The distance of a pair that is apart, by the kernel of a swollen ellipsoid.
+
+Wanted is the maximum d over unit n of n.k - e.|n| - s(n), s = sqrt(n^T S n). For a
+mu >= 0 take the nearest point x of the box in the metric of S + mu I and its
+multipliers n. If s(n) = 1, then y = k - S n is on the ellipsoid, x - y = -mu n, and
+n.k - E = n^T (S + mu I) n makes n / |n| the maximiser: d = mu |n|.
+
+s falls as mu grows, and on a fixed set A of active coordinates, where
+(S + mu I)_AA n_A is constant, 1/s is all but linear: each step is Newton's for
+1/s = 1, held in a bracket. Every mu gives
+
+    a lower bound,   mu |n| + s (s - 1) / |n|    (the value at n / |n|),
+    an upper bound,  |x - y|, y = k - S n / s.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxbe.components import column, dot, largest, vector
+from jaxbe.kept import kept_pair, shared
+from jaxbe.kernel import Nearest, nearest
+from jaxbe.metric import Metric, Shape, active_inverse, inflated, metric_of, shape
+from jaxbe.pose import CanonicalPair, in_other_units
+from jaxbe.types import ComponentMatrix, Components, Scalars
+
+STEPS_A_LOOP = 4
+"""As in `jaxbe.growth`: as many as XLA compiles well in one expression."""
+
+
+class Trial(NamedTuple):
+    """What one mu gives, in the pair's units.
+
+    Attributes:
+        near: the kernel's answer.
+        norm: |n|.
+        radius: s(n).
+        support: S n.
+        metric: of S + mu I.
+    """
+
+    near: Nearest
+    norm: Scalars
+    radius: Scalars
+    support: Components
+    metric: Metric
+
+
+class Bracket(NamedTuple):
+    """A value of mu to try, and between which values the solution lies."""
+
+    mu: Scalars
+    low: Scalars
+    high: Scalars
+
+
+def shift(pair: CanonicalPair, steps: int) -> Scalars:
+    """The value of mu, in the pair's units squared, after so many steps."""
+    first = steps % STEPS_A_LOOP or min(steps, STEPS_A_LOOP)
+    bracket = _advance(_start(pair), pair, first)
+    per_square = 1
+    for _ in range((steps - first) // STEPS_A_LOOP):
+        mu, low = kept_pair(bracket.mu, bracket.low, pair.a[0])
+        pair = in_other_units(pair, 2)
+        per_square *= 4
+        resumed = Bracket(4 * mu, 4 * low, _highest(pair))
+        bracket = _advance(resumed, pair, STEPS_A_LOOP)
+    return bracket.mu / per_square
+
+
+def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
+    """Evaluates the kernel of the ellipsoid swollen by mu."""
+    m = metric_of(inflated(form, mu), shared)
+    near = nearest(pair.k, pair.e, m)
+    terms = vector(lambda p: pair.a[p] * dot(column(pair.R, p), near.n))
+    return Trial(
+        near=near,
+        norm=shared(jnp.sqrt(dot(near.n, near.n))),
+        radius=shared(jnp.sqrt(dot(terms, terms))),
+        support=times(pair.R, vector(lambda p: pair.a[p] * terms[p])),
+        metric=m,
+    )
+
+
+def times(m: ComponentMatrix, x: Components) -> Components:
+    """The matrix product with a vector."""
+    return vector(lambda i: dot(m[i], x))
+
+
+def _start(pair: CanonicalPair) -> Bracket:
+    """From mu = 0: the distance along its n, which is too short, to scale."""
+    zero = jnp.zeros_like(pair.k[0] + pair.e[0] + pair.a[0])
+    at = trial(pair, shape(pair.R, pair.a), zero)
+    square = dot(at.near.n, at.near.n)
+    mu = at.radius * at.radius * jnp.maximum(at.radius - 1, 0) / _positive(square)
+    high = _highest(pair)
+    return Bracket(jnp.minimum(mu, high), zero, high)
+
+
+def _highest(pair: CanonicalPair) -> Scalars:
+    """A bound of mu = d / |n|: d <= |k|, and s(n) = 1 <= |n| times a semi-axis."""
+    return jnp.sqrt(dot(pair.k, pair.k)) * largest(pair.a)
+
+
+def _advance(bracket: Bracket, pair: CanonicalPair, count: int) -> Bracket:
+    form = shape(pair.R, pair.a)
+    for _ in range(count):
+        bracket = _step(bracket, pair, form)
+    return bracket
+
+
+def _step(bracket: Bracket, pair: CanonicalPair, form: Shape) -> Bracket:
+    """Newton's step for 1/s = 1; the middle of the bracket where it would leave."""
+    mu = bracket.mu
+    at = trial(pair, form, mu)
+    further = at.radius > 1
+    low = jnp.where(further, mu, bracket.low)
+    high = jnp.where(further, bracket.high, mu)
+    n, active = at.near.n, at.near.active
+    inverse = active_inverse(active, at.metric)
+    held = vector(lambda i: jnp.where(active[i], n[i], 0))
+    slope = dot(
+        vector(lambda i: jnp.where(active[i], at.support[i], 0)), times(inverse, held)
+    )
+    rise = at.radius * at.radius * (at.radius - 1)
+    # Both sides times the slope, so that nothing is compared with a quotient.
+    inside = (rise >= (low - mu) * slope) & (rise <= (high - mu) * slope)
+    middle = jnp.sqrt(jnp.maximum(low * high, high * high * 1e-12))
+    proposed = mu + rise / jnp.where(inside, slope, 1)
+    return Bracket(jnp.where(inside, proposed, middle), low, high)
+
+
+def _positive(x: Scalars) -> Scalars:
+    return jnp.where(x > 0, x, 1)

@@ -1,0 +1,80 @@
+"""What the distance's tests share: compiled functions, and judges in numpy.
+
+The value of a direction, n.k - e.|n| - s(n), bounds the signed distance from below
+whatever found the direction; two points, one of either body, bound the distance of
+bodies that are apart from above. Neither shares a line with jaxbe.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import numpy as np
+
+import jaxbe
+from benchmarks import scenes
+from tests.margin_reference import KINDS
+
+LONG = np.longdouble
+
+
+@functools.cache
+def contact_at(steps=None):
+    options = {} if steps is None else {"steps": steps}
+    return jax.jit(functools.partial(jaxbe.contact, **options))
+
+
+@functools.cache
+def bounds_at(steps=None):
+    options = {} if steps is None else {"steps": steps}
+    return jax.jit(functools.partial(jaxbe.distance_bounds, **options))
+
+
+def found(scene, steps=None):
+    """`jaxbe.contact` as float64 numpy arrays."""
+    contact = contact_at(steps)(*scene.bodies())
+    return jaxbe.Contact(*(np.asarray(x, np.float64) for x in contact))
+
+
+def overlapping(scene):
+    return np.asarray(jax.jit(jaxbe.overlap)(*scene.bodies()))
+
+
+def value_along(scene, normal):
+    """The signed distance along the unit normals (from ellipsoid to box)."""
+    C, U, e, K, V, a = (x.astype(LONG) for x in scene)
+    w = -normal.astype(LONG)
+    w = w / np.linalg.norm(w.astype(float), axis=1, keepdims=True)
+    w = w / np.sqrt(np.sum(w * w, axis=1, keepdims=True))
+    extent = np.sum(e * abs(np.einsum("nri,nr->ni", U, w)), axis=1)
+    radius = np.sqrt(np.sum((a * np.einsum("nrp,nr->np", V, w)) ** 2, axis=1))
+    return (np.sum(w * (K - C), axis=1) - extent - radius).astype(np.float64)
+
+
+def outside_box(scene, point):
+    """How far points are outside the boxes, along the worst axis; negative inside."""
+    C, U, e = (x.astype(LONG) for x in scene[:3])
+    x = np.einsum("nri,nr->ni", U, point.astype(LONG) - C)
+    return np.max(abs(x) - e, axis=1).astype(np.float64)
+
+
+def outside_ellipsoid(scene, point):
+    """By what factor, minus one, points are beyond the surface, in its metric."""
+    K, V, a = (x.astype(LONG) for x in scene[3:])
+    y = np.einsum("nrp,nr->np", V, point.astype(LONG) - K)
+    return (np.sqrt(np.sum((y / a) ** 2, axis=1)) - 1).astype(np.float64)
+
+
+def size(scene):
+    """The longest length of a pair."""
+    return np.max(np.concatenate([scene.e, scene.a], axis=1), axis=1)
+
+
+def random_overlapping(n, seed, **options):
+    """Random pairs that overlap."""
+    scene = scenes.random(3 * n, seed=seed, **options)
+    return scene.part(np.flatnonzero(overlapping(scene))[:n])
+
+
+__all__ = ["KINDS"]

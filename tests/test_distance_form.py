@@ -1,0 +1,35 @@
+"""The distance's programs: branch-free, and no loop too large to compile well."""
+
+import functools
+
+import jax
+import pytest
+
+import jaxbe
+from benchmarks import scenes
+from jaxbe.distance import MAX_STEPS
+from tests import programs
+from tests.test_margin_form import LARGEST
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
+@pytest.mark.parametrize("steps", [1, 8, MAX_STEPS])
+def test_no_loop_is_too_large(steps, dtype):
+    bodies = scenes.random(1000).astype(dtype).bodies()
+    function = jax.vmap(functools.partial(jaxbe.contact, steps=steps))
+    assert programs.largest_expression(function, *bodies) <= LARGEST
+
+
+@pytest.mark.parametrize("query", [jaxbe.contact, jaxbe.distance_bounds])
+def test_branch_free(query):
+    bodies = scenes.random(64).bodies()
+    programs.check_branch_free(jax.vmap(query), *bodies)
+
+
+def test_gradient_is_branch_free():
+    bodies = scenes.random(64).bodies()
+
+    def total(box, ellipsoid):
+        return jaxbe.signed_distance(box, ellipsoid).sum()
+
+    programs.check_branch_free(jax.grad(total, argnums=(0, 1)), *bodies)
