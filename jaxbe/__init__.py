@@ -1,5 +1,6 @@
 """Does an oriented box touch an oriented ellipsoid, by how much, which way out?"""
 
+from jaxbe.certify import Certificate, certify
 from jaxbe.checked import checked
 from jaxbe.contact import Contact, contact
 from jaxbe.distance import distance_bounds, signed_distance
@@ -13,8 +14,10 @@ __version__ = "0.1.0"
 __all__ = [
     "METHODS",
     "Box",
+    "Certificate",
     "Contact",
     "Ellipsoid",
+    "certify",
     "checked",
     "contact",
     "distance_bounds",

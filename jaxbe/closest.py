@@ -10,15 +10,18 @@ import jax.numpy as jnp
 
 from jaxbe.components import column, dot, vector, where
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_pair
+from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric, shape
-from jaxbe.penetration import FIRST_ROUNDS, way_out
+from jaxbe.penetration import refined, way_out
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.separation import shift, trial
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.tangent import solve, tangent
 from jaxbe.types import Components, Scalars
+
+LAST_ROUNDS = 2
+"""Steps of the descent of pairs that overlap, after those of `jaxbe.penetration`."""
 
 
 class Closest(NamedTuple):
@@ -39,10 +42,10 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     # Loops in different units share little: see `jaxbe.pose.in_other_units`.
     pair = canonical_pair(box, ellipsoid)
     given = pair.a[0]
-    mu = kept(shift(pair, steps), given)
-    inside, depth = way_out(in_other_units(pair, 2**8), max(FIRST_ROUNDS, steps // 2))
-    n, _ = _either(in_other_units(pair, 2**6), 2**12 * mu, inside, depth)
-    m, distance = _either(in_other_units(pair, 2**7), 2**14 * mu, inside, depth)
+    mu = kept_from(shift(pair, steps), given)
+    inside = way_out(in_other_units(pair, 2**8))
+    n, _ = _either(in_other_units(pair, 2**6), 2**12 * mu, inside)
+    m, distance = _either(in_other_units(pair, 2**7), 2**14 * mu, inside)
     n_0, n_1 = kept_pair(n[0], n[1], given)
     n_2, distance = kept_pair(m[2], distance, given)
     return Closest((n_0, n_1, n_2), distance)
@@ -72,13 +75,14 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
 
 
 def _either(
-    pair: CanonicalPair, mu: Scalars, inside: Components, depth: Scalars
+    pair: CanonicalPair, mu: Scalars, inside: Components
 ) -> tuple[Components, Scalars]:
     """The way out where they overlap, else the direction that mu gives; metres."""
     at = trial(pair, shape(pair.R, pair.a), mu)
     norm = jnp.where(at.norm == 0, 1, at.norm)
     outside = vector(lambda i: at.near.n[i] / norm)
-    distance = (mu * norm + at.radius * (at.radius - 1) / norm) / pair.per_unit
+    distance = mu * norm + at.radius * (at.radius - 1) / norm
+    inside, depth = refined(pair, inside, LAST_ROUNDS)
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
     n = where(overlaps, inside, outside)
-    return n, jnp.where(overlaps, -depth, distance)
+    return n, jnp.where(overlaps, -depth, distance) / pair.per_unit

@@ -25,15 +25,14 @@ def signed_distance(
 
     The depth is the length of the shortest translation found that takes them apart:
     an upper bound of the penetration depth always, for the depth has several local
-    minima. Of 2,000 random overlapping pairs it was the least one within 0.05 % in
-    98 %, within 2 % in 99 %, and at most 1.4 times it; right where they overlap little
-    (growth distance above 0.9).
+    minima. Of 1,500 random overlapping pairs it was the least known one, to six digits,
+    in 99 %, within 4 % in 99.9 %, and 1.18 times it at most.
 
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        steps: 1 to 24: evaluations of the kernel for pairs apart; steps // 2
-            rounds of refinement for those that overlap.
+        steps: 1 to 24: evaluations of the kernel for pairs apart. The descents of
+            those that overlap have a fixed length.
 
     Returns:
         Metres, of the common batch shape. The sign is that of `overlap`; 0 at touching,

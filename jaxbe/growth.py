@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxbe.components import dot, largest, split_vector, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_pair
+from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric, squared_length
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
@@ -77,8 +77,7 @@ def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
     trial, lower, _ = _first_steps(pair, count)
     *_, upper = _first_steps(in_other_units(pair, 2), count)
     trial, lower = kept_pair(trial, lower, pair.a[0])
-    # Twice, as a number with one use is not kept.
-    return Iterate(trial, lower, jnp.minimum(*kept_pair(upper, upper, pair.a[0])))
+    return Iterate(trial, lower, kept_from(upper, pair.a[0]))
 
 
 def _first_steps(pair: CanonicalPair, count: int) -> Iterate:

@@ -47,6 +47,11 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
     return kept_pair(*primals), tangents[:2]
 
 
+def kept_from(x: Scalars, given: Scalars) -> Scalars:
+    """The array x, kept even if only one loop uses it (`kept` leaves it to that)."""
+    return jnp.minimum(*kept_pair(x, x, given))
+
+
 def _one(given: Scalars) -> Scalars:
     """1, in a way that the compiler does not see through."""
     return jnp.where(given == given, 1, jnp.nan).astype(given.dtype)

@@ -13,33 +13,32 @@ import jax.numpy as jnp
 from jaxbe.components import column, dot, vector, where
 from jaxbe.contact_normal import contact_normal
 from jaxbe.growth import growth_bounds
-from jaxbe.kept import kept, kept_pair, shared
+from jaxbe.kept import kept, kept_from, kept_pair, shared
 from jaxbe.pose import CanonicalPair, in_other_units
 from jaxbe.tangent import depth, improved
 from jaxbe.types import Components, Scalars
 
 STARTS = 7
-STARTS_A_LOOP = 3
+STARTS_A_LOOP = 2
 """As many as XLA compiles well in one expression (see `jaxbe.growth`)."""
 
-FIRST_ROUNDS = 2
+FIRST_ROUNDS = 3
 """Steps from every start, before the best is chosen."""
+
+ROUNDS = 4
+"""Steps of the best one, again from the start."""
 
 GROWTH_STEPS = 2
 
 
-def way_out(pair: CanonicalPair, rounds: int) -> tuple[Components, Scalars]:
-    """The unit direction, from the box to the ellipsoid, with the least f found; and f.
-
-    f is in metres.
-    """
+def way_out(pair: CanonicalPair) -> Components:
+    """The unit direction, from the box to the ellipsoid, with the least f found."""
     normal = _growth_normal(pair)
     best = _best_start(pair, normal)
-    n, _ = _refined_start(in_other_units(pair, 64), normal, best, rounds)
-    m, least = _refined_start(in_other_units(pair, 128), normal, best, rounds)
+    n = _refined_start(in_other_units(pair, 128), normal, best)
+    m = _refined_start(in_other_units(pair, 256), normal, best)
     n_0, n_1 = kept_pair(n[0], n[1], pair.a[0])
-    n_2, least = kept_pair(m[2], least, pair.a[0])
-    return (n_0, n_1, n_2), least
+    return n_0, n_1, kept_from(m[2], pair.a[0])
 
 
 def _best_start(pair: CanonicalPair, normal: Components) -> Scalars:
@@ -49,18 +48,17 @@ def _best_start(pair: CanonicalPair, normal: Components) -> Scalars:
         number, least = _best_of_group(in_other_units(pair, 16 << i), normal, first)
         best = jnp.where(least < value, number, best)
         value = jnp.minimum(least, value)
-    return kept(best, pair.a[0])
+    return kept_from(best, pair.a[0])
 
 
 def _refined_start(
-    pair: CanonicalPair, normal: Components, best: Scalars, rounds: int
-) -> tuple[Components, Scalars]:
-    """The best start refined, and its f in metres."""
+    pair: CanonicalPair, normal: Components, best: Scalars
+) -> Components:
+    """The best start refined."""
     n = _numbered(pair, normal, 0)
     for number in range(1, STARTS):
         n = where(best == number, _numbered(pair, normal, number), n)
-    n, value = _refined(pair, n, rounds)
-    return n, value / pair.per_unit
+    return refined(pair, n, ROUNDS)[0]
 
 
 def _growth_normal(pair: CanonicalPair) -> Components:
@@ -77,10 +75,10 @@ def _best_of_group(
     pair: CanonicalPair, normal: Components, first: int
 ) -> tuple[Scalars, Scalars]:
     """Of some starts, a few rounds on: the best one's number, and its f in metres."""
-    _, value = _refined(pair, _numbered(pair, normal, first), FIRST_ROUNDS)
+    _, value = refined(pair, _numbered(pair, normal, first), FIRST_ROUNDS)
     best = jnp.full_like(value, first)
     for number in range(first + 1, min(first + STARTS_A_LOOP, STARTS)):
-        _, least = _refined(pair, _numbered(pair, normal, number), FIRST_ROUNDS)
+        _, least = refined(pair, _numbered(pair, normal, number), FIRST_ROUNDS)
         best = jnp.where(least < value, jnp.full_like(least, number), best)
         value = jnp.minimum(least, value)
     return kept_pair(best, value / pair.per_unit, pair.a[0])
@@ -98,9 +96,10 @@ def _numbered(pair: CanonicalPair, normal: Components, start: int) -> Components
     return _unit(vector(lambda i: sign * axis[i]))
 
 
-def _refined(
+def refined(
     pair: CanonicalPair, n: Components, rounds: int
 ) -> tuple[Components, Scalars]:
+    """A unit direction after so many steps, and its f in the pair's units."""
     value = depth(pair, n)
     for _ in range(rounds):
         n, value = improved(pair, n, value)

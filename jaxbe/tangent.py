@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxbe.components import clip, column, dot, vector, where
 from jaxbe.kept import shared
 from jaxbe.pose import CanonicalPair
-from jaxbe.types import Components, Flags, Scalars
+from jaxbe.types import Components, Scalars
 
 LONGEST_STEP = 0.5
 SHORT_STEP = 0.25
@@ -29,7 +29,7 @@ class Tangent(NamedTuple):
     Attributes:
         first, second: an orthonormal basis, second along a coordinate that is zero.
         slopes: the derivatives of f along it, zero where a coordinate is held.
-        hessian: h_11, h_12 and h_22.
+        hessian: h_11, h_12 and h_22; of held coordinates anything harmless.
     """
 
     first: Components
@@ -54,7 +54,7 @@ def tangent(pair: CanonicalPair, n: Components) -> Tangent:
     g = vector(lambda i: dot(pair.R[i], weighted) / s - pair.k[i])
     slope = vector(lambda i: _slope(n[i], g[i], pair.e[i]))
     f = dot(n, slope)
-    first, second, held = _basis(n, slope)
+    first, second = _basis(n)
     ends = [vector(lambda p: dot(column(pair.R, p), b)) for b in (first, second)]  # noqa: B023
     pulls = [shared(dot(weighted, end) / s) for end in ends]
 
@@ -62,15 +62,29 @@ def tangent(pair: CanonicalPair, n: Components) -> Tangent:
         forms = vector(lambda p: squares[p] * ends[i][p] * ends[j][p])
         return shared((forms[0] + forms[1] + forms[2] - pulls[i] * pulls[j]) / s)
 
-    mixed = jnp.where(held, 0, curvature(0, 1))
-    hessian = curvature(0, 0) - f, mixed, curvature(1, 1) - f
-    return Tangent(first, second, (dot(first, slope), dot(second, slope)), hessian)
+    slopes = dot(first, slope), dot(second, slope)
+    zeros = [x == 0 for x in n]
+    # Zero coordinates are along the second axis first. Held ones have no say, released
+    # ones go down their own slope.
+    one = zeros[0] | zeros[1] | zeros[2]
+    second_held = one & (slopes[1] == 0)
+    two = (zeros[0] & zeros[1]) | (zeros[1] & zeros[2]) | (zeros[2] & zeros[0])
+    first_held = two & (slopes[0] == 0)
+    h_11, h_22 = curvature(0, 0) - f, curvature(1, 1) - f
+    hessian = (
+        jnp.where(first_held, abs(h_22), h_11),
+        jnp.where(one, 0, curvature(0, 1)),
+        jnp.where(second_held, abs(h_11), h_22),
+    )
+    return Tangent(first, second, slopes, hessian)
 
 
 def improved(
     pair: CanonicalPair, n: Components, value: Scalars
 ) -> tuple[Components, Scalars]:
-    """One step of Newton's method, or a quarter of it, or none: whichever is best.
+    """One step of Newton's method, or the beginning of it, or none: whichever is best.
+
+    The beginning is a quarter, or less where a coordinate reaches zero before.
 
     Args:
         pair: the bodies.
@@ -83,9 +97,11 @@ def improved(
     at = tangent(pair, n)
     t_1, t_2 = _newton(at)
     move = vector(lambda i: at.first[i] * t_1 + at.second[i] * t_2)
+    crossings = vector(lambda i: _crossing(n[i], move[i]))
+    nearest = jnp.minimum(jnp.minimum(crossings[0], crossings[1]), crossings[2])
     best = n
-    for length in (1, SHORT_STEP):
-        candidate = _moved(n, move, length)
+    for length in (jnp.ones_like(nearest), jnp.minimum(nearest, SHORT_STEP)):
+        candidate = _moved(n, move, length, crossings)
         there = depth(pair, candidate)
         best = where(there < value, candidate, best)
         value = jnp.minimum(value, there)
@@ -98,8 +114,8 @@ def _slope(n_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
     return jnp.where(n_i == 0, at_kink, g_i + jnp.sign(n_i) * e_i)
 
 
-def _basis(n: Components, slope: Components) -> tuple[Components, Components, Flags]:
-    """A basis of the tangent plane; and whether one of its directions is held."""
+def _basis(n: Components) -> tuple[Components, Components]:
+    """A basis of the tangent plane; its second vector is along a coordinate of zero."""
     size = vector(lambda i: abs(n[i]))
     is_0 = (size[0] <= size[1]) & (size[0] <= size[2])
     is_1 = ~is_0 & (size[1] <= size[2])
@@ -117,8 +133,7 @@ def _basis(n: Components, slope: Components) -> tuple[Components, Components, Fl
         z * first[0] - x * first[2],
         x * first[1] - y * first[0],
     )
-    held = [(n[i] == 0) & (slope[i] == 0) for i in range(3)]
-    return first, second, held[0] | held[1] | held[2]
+    return first, second
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> tuple[Scalars, Scalars]:
@@ -157,13 +172,18 @@ def _against(
     return h_12 * s_2 - h_22 * s_1, h_12 * s_1 - h_11 * s_2
 
 
-def _moved(n: Components, move: Components, length: float) -> Components:
-    """Moved and normalised; what changes sign stops at zero."""
+def _crossing(n_i: Scalars, move_i: Scalars) -> Scalars:
+    """At what share of the move a coordinate reaches zero; 2 if it does not."""
+    crosses = n_i * move_i < 0
+    return shared(jnp.where(crosses, -n_i / jnp.where(crosses, move_i, 1), 2))
 
-    def coordinate(i: int) -> Scalars:
-        there = n[i] + length * move[i]
-        return jnp.where(there * n[i] < 0, 0, there)
 
-    there = vector(coordinate)
+def _moved(
+    n: Components, move: Components, length: Scalars, crossings: Components
+) -> Components:
+    """Moved and normalised; what would change sign stops at zero."""
+    there = vector(
+        lambda i: jnp.where(crossings[i] <= length, 0, n[i] + length * move[i])
+    )
     per_length = shared(1 / jnp.sqrt(dot(there, there)))
     return vector(lambda i: there[i] * per_length)

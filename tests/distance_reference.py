@@ -52,6 +52,15 @@ def value_along(scene, normal):
     return (np.sum(w * (K - C), axis=1) - extent - radius).astype(np.float64)
 
 
+def value_in_box_axes(scene, n):
+    """n.k - e.|n| - s(n), with n from the box to the ellipsoid, as it is."""
+    C, U, e, K, V, a = scene
+    w = np.einsum("nri,ni->nr", U, n.astype(LONG))
+    radius = np.sqrt(np.sum((a * np.einsum("nrp,nr->np", V, w)) ** 2, axis=1))
+    extent = np.sum(e * abs(n), axis=1)
+    return (np.sum(w * (K - C), axis=1) - extent - radius).astype(np.float64)
+
+
 def outside_box(scene, point):
     """How far points are outside the boxes, along the worst axis; negative inside."""
     C, U, e = (x.astype(LONG) for x in scene[:3])

@@ -15,6 +15,8 @@ from jaxbe.tangent import depth, improved
 from tests import distance_reference as dr
 from tests.margin_reference import KINDS
 
+pytestmark = pytest.mark.bulk
+
 
 def apart(n, seed, **options):
     scene = scenes.random(4 * n, seed=seed, **options)
@@ -57,7 +59,7 @@ def test_distance_apart_in_float32():
     assert np.max(error) <= 1e-5
 
 
-@pytest.mark.parametrize("steps", [1, 2, 3, 5, 9, MAX_STEPS])
+@pytest.mark.parametrize("steps", [1, 3, 9, MAX_STEPS])
 def test_bounds_hold_at_every_count(steps):
     """Of all pairs, those that overlap too."""
     scene = scenes.random(5000, seed=62)
@@ -117,11 +119,6 @@ def test_every_depth_is_a_way_out():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_sign_and_finiteness(kind, dtype):
-    if kind == "tiny" and dtype == np.float32:
-        scale = 1e-15
-    else:
-        scale = 1.0
-    del scale
     scene = KINDS[kind](scenes.random(1000, seed=65)).astype(dtype)
     contact = dr.found(scene)
     for field in contact:
@@ -201,9 +198,10 @@ def gradient_fields(scene):
 
 
 def test_gradient_against_differences():
-    """Of the value along the direction: that is what the envelope theorem says."""
+    """Of the value along the direction, held in box axes (the envelope theorem)."""
     scene = scenes.random(2000, seed=68)
     normal = dr.found(scene).normal
+    n = -np.einsum("nri,nr->ni", scene.U, normal)
     gradients, step = gradient_fields(scene), 1e-5
     np.testing.assert_allclose(gradients[3], -normal, atol=1e-12)
     for field, gradient in enumerate(gradients):
@@ -212,7 +210,7 @@ def test_gradient_against_differences():
             for sign in (1, -1):
                 fields = [x.astype(np.longdouble) for x in scene]
                 fields[field][(slice(None), *entry)] += sign * step
-                sides.append(dr.value_along(type(scene)(*fields), normal))
+                sides.append(dr.value_in_box_axes(type(scene)(*fields), n))
             difference = (sides[0] - sides[1]) / (2 * step)
             error = abs(difference - gradient[(slice(None), *entry)])
             assert np.percentile(error, 99) <= 1e-8

@@ -11,6 +11,8 @@ from jaxbe.distance import MAX_STEPS
 from tests import programs
 from tests.test_margin_form import LARGEST
 
+pytestmark = pytest.mark.bulk
+
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
 @pytest.mark.parametrize("steps", [1, 8, MAX_STEPS])
