@@ -31,7 +31,7 @@ def apart(n, seed, **options):
     [
         (0.05, 2.0, None, 1e-10, 1e-8),
         (0.001, 1.0, None, 1e-9, 1e-2),
-        (0.001, 1.0, 16, 1e-9, 1e-9),
+        pytest.param(0.001, 1.0, 16, 1e-9, 1e-9, marks=pytest.mark.slow),
     ],
 )
 def test_distance_apart(low, high, steps, at_999, at_most):
@@ -53,19 +53,21 @@ def test_distance_apart(low, high, steps, at_999, at_most):
 def test_distance_apart_in_float32():
     scene = apart(100_000, 61).astype(np.float32)
     contact = dr.found(scene)
-    truth = dr.found(scene.astype(np.float64), 16).distance
+    truth = dr.found(scene.astype(np.float64)).distance
     error = abs(contact.distance - truth) / dr.size(scene)
     assert np.percentile(error, 99.9) <= 1e-6
     assert np.max(error) <= 1e-5
 
 
-@pytest.mark.parametrize("steps", [1, 3, 9, MAX_STEPS])
+@pytest.mark.parametrize(
+    "steps", [1, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (9, MAX_STEPS))]
+)
 def test_bounds_hold_at_every_count(steps):
     """Of all pairs, those that overlap too."""
     scene = scenes.random(5000, seed=62)
     lower, upper = (np.asarray(x) for x in dr.bounds_at(steps)(*scene.bodies()))
     best = np.maximum(
-        dr.found(scene, 16).distance, np.asarray(dr.bounds_at(16)(*scene.bodies())[0])
+        dr.found(scene).distance, np.asarray(dr.bounds_at()(*scene.bodies())[0])
     )
     assert np.all(lower <= best + 1e-12)
     separated = ~dr.overlapping(scene)
@@ -93,7 +95,7 @@ def least_depths():
         n = rng.normal(size=(3, scene.size))
         n /= np.linalg.norm(n, axis=0)
         least = np.minimum(least, np.asarray(descend(tuple(map(jnp.asarray, n)))))
-    return scene, np.minimum(least, -dr.found(scene, 16).distance)
+    return scene, np.minimum(least, -dr.found(scene).distance)
 
 
 def test_depth_is_the_least_but_seldom():
@@ -157,7 +159,7 @@ def posed(growth, n=6000, seed=67):
     margin = np.asarray(jax.jit(jaxbe.margin)(*scene.bodies()))
     K = scene.C + (scene.K - scene.C) * (growth / (1 + margin))[:, None]
     scene = scene._replace(K=K)
-    contact = dr.found(scene, 16)
+    contact = dr.found(scene)
     components = np.einsum("nri,nr->ni", scene.U, contact.normal)
     return scene, contact, np.sum(abs(components) > 1e-12, axis=1)
 

@@ -15,7 +15,9 @@ pytestmark = pytest.mark.bulk
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
-@pytest.mark.parametrize("steps", [1, 8, MAX_STEPS])
+@pytest.mark.parametrize(
+    "steps", [1, 8, pytest.param(MAX_STEPS, marks=pytest.mark.slow)]
+)
 def test_no_loop_is_too_large(steps, dtype):
     bodies = scenes.random(1000).astype(dtype).bodies()
     function = jax.vmap(functools.partial(jaxbe.contact, steps=steps))
