@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -55,12 +58,14 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     Derivation of the band. A sum of products computed with at most m roundings on the
     way to each term differs from the exact one by at most gamma_m = m u / (1 - m u)
     times the sum of the terms' absolute values, u = eps / 2. All numbers compared here
-    have fewer than 16 roundings, K - C being one; gamma_32 covers them twice, the root,
-    and the sums of absolute values, which are computed too. For an overlap, with
+    have fewer than 16 roundings, K - C being one; gamma_64 covers them, the root, and
+    the sums of absolute values, which are computed too. For an overlap, with
     z = V^T w, w = C + U x - K, and G = V^T V - I (as computed, plus its rounding),
     y = (I + G)^-1 z differs from z by at most |G| |z| / (1 - |G|). A verdict is given
-    if its inequality holds by more than that. Products too small for normal floats
-    count with the smallest normal one.
+    if its inequality holds by more than that. What is too
+    small for normal floats may be flushed to zero, before and after the scaling to the
+    pair's units: the band has so many of the smallest normal float, times the lengths,
+    and the root of it for squares under a root.
 
     Args:
         box: any batch shape.
@@ -108,7 +113,11 @@ class _Proof:
         self.a = vector(lambda p: a[p] * per_unit)
         info = np.finfo(per_unit.dtype)
         self.gamma = np.asarray(ROUNDINGS * info.eps, info.dtype)
-        self.tiny = np.asarray(ROUNDINGS * info.tiny, info.dtype)
+        # What is flushed to zero, before or after the scaling; and its square root.
+        tiny = np.asarray(ROUNDINGS * info.tiny, info.dtype)
+        lengths = (*_absolute(self.offset), *self.e, *self.a)
+        self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + sum_of(lengths))
+        self.root = np.asarray(8 * np.sqrt(info.tiny), info.dtype)
 
     def separates(self, w: Components) -> Flags:
         """Whether w.(K - C) exceeds the sum of the support functions."""
@@ -118,7 +127,8 @@ class _Proof:
         doubt = dot(sizes, _absolute(self.offset)) + self._support(
             _absolute_matrix(self.U), _absolute_matrix(self.V), sizes
         )
-        proved: Flags = gap - reach > self.gamma * doubt + self.tiny * (1 + doubt)
+        band = self.gamma * doubt + self.flushed + self.root
+        proved: Flags = gap - reach > band
         return proved
 
     def overlaps(self, x: Components) -> Flags:
@@ -130,10 +140,12 @@ class _Proof:
         z = vector(lambda p: dot(column(self.V, p), w))
         doubt = vector(lambda p: dot(_absolute(column(self.V, p)), sizes))
         defect = self._defect()
-        length = jnp.sqrt(dot(z, z)) + self.gamma * (doubt[0] + doubt[1] + doubt[2])
+        length = jnp.sqrt(dot(z, z)) + self.root + self.gamma * sum_of(doubt)
         skew = defect * length / (1 - defect)
         errors = vector(
-            lambda p: (abs(z[p]) + self.gamma * doubt[p] + skew + self.tiny) / self.a[p]
+            lambda p: (
+                (abs(z[p]) + self.gamma * doubt[p] + skew + self.flushed) / self.a[p]
+            )
         )
         inside = dot(errors, errors) * (1 + self.gamma) < 1
         usable: Flags = defect < np.asarray(0.5, defect.dtype)
@@ -151,8 +163,12 @@ class _Proof:
         """A bound of |V^T V - I|."""
         products = matrix(lambda p, q: dot(column(self.V, p), column(self.V, q)))
         G = matrix(lambda p, q: products[p][q] - (1 if p == q else 0))
-        squares = vector(lambda p: dot(G[p], G[p]))
-        return jnp.sqrt(squares[0] + squares[1] + squares[2]) + 4 * self.gamma
+        return jnp.sqrt(sum_of([dot(row, row) for row in G])) + 4 * self.gamma
+
+
+def sum_of(terms: Sequence[Scalars]) -> Scalars:
+    """The sum, in the order given."""
+    return functools.reduce(operator.add, terms)
 
 
 def _absolute(x: Components) -> Components:

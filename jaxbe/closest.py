@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jaxbe.components import column, dot, vector, where
+from jaxbe.components import column, dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import squared_distance
@@ -18,7 +19,7 @@ from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.separation import shift, trial
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.tangent import solve, tangent
-from jaxbe.types import Components, Scalars
+from jaxbe.types import Components, Flags, Scalars
 
 LAST_ROUNDS = 2
 """Steps of the descent of pairs that overlap, after those of `jaxbe.penetration`."""
@@ -43,9 +44,10 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     pair = canonical_pair(box, ellipsoid)
     given = pair.a[0]
     mu = kept_from(shift(pair, steps), given)
-    inside = way_out(in_other_units(pair, 2**8))
-    n, _ = _either(in_other_units(pair, 2**6), 2**12 * mu, inside)
-    m, distance = _either(in_other_units(pair, 2**7), 2**14 * mu, inside)
+    inside = way_out(in_other_units(pair, 8))
+    n, _ = _either(in_other_units(pair, 2), 4 * mu, inside)
+    m, distance = _either(in_other_units(pair, 4), 16 * mu, inside)
+    distance = jnp.where(_is_too_far(pair), jnp.nan, distance)
     n_0, n_1 = kept_pair(n[0], n[1], given)
     n_2, distance = kept_pair(m[2], distance, given)
     return Closest((n_0, n_1, n_2), distance)
@@ -72,6 +74,13 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
         bodies, tangents, found.n, radius, of_extent=one, of_radius=one
     )
     return found, Closest(moved, d_distance)
+
+
+def _is_too_far(pair: CanonicalPair) -> Flags:
+    """Where mu, some |k| times the largest semi-axis, has no third power in floats."""
+    limit = np.finfo(pair.per_unit.dtype).max ** (1 / 3) / 64
+    too_far: Flags = largest(vector(lambda i: abs(pair.k[i]))) > limit
+    return too_far
 
 
 def _either(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
 from jaxbe.closest import closest
 from jaxbe.components import dot, split_matrix, split_vector, stack, vector
 from jaxbe.distance import DEFAULT_STEPS, MAX_STEPS, witness_points
@@ -52,8 +50,9 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
 
         Derivatives of the distance are those of `signed_distance`; those of normal and
         points follow from the equations that they solve, by one step of Newton's
-        method. They are finite. Where the answer has none (a change of feature, several
-        ways out equally short) they are one-sided: those of the feature found.
+        method. They are finite, and first ones only. Where the answer has none (a
+        change of feature, several ways out equally short) they are one-sided: those of
+        the feature found.
 
     Raises:
         TypeError: as `signed_distance`.
@@ -83,6 +82,4 @@ def _world(box: Box, x: Components) -> Vectors:
     """C + U x."""
     C = split_vector(box.center, x[0].ndim)
     turned = _turned(box, x)
-    return jnp.stack(
-        jnp.broadcast_arrays(*(C[r] + turned[r] for r in range(3))), axis=-1
-    )
+    return stack(vector(lambda r: C[r] + turned[r]))

@@ -38,7 +38,7 @@ def directional_derivative(
         bodies: box and ellipsoid, in metres; the letters are those of `jaxbe.pose`.
         tangents: in their structure.
         n: the direction in box axes, divided by whatever divides the expression.
-        radius: s at n; where n is zero anything positive.
+        radius: s at n; anything where n is zero.
         of_extent: the factor of the box's support function.
         of_radius: the factor of the ellipsoid's.
     """

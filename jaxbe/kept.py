@@ -36,9 +36,12 @@ def _kept_jvp(primals: Any, tangents: Any) -> Any:
 
 @jax.custom_jvp
 def kept_pair(x: Scalars, y: Scalars, given: Scalars) -> tuple[Scalars, Scalars]:
-    """The arrays x and y, of one shape, from one loop; `given` as for `kept`."""
+    """The arrays x and y, of one shape, from one loop; `given` as for `kept`.
+
+    An infinity becomes the largest float: it would make the other one NaN.
+    """
     one = _one(given)
-    both = lax.complex(x, y) / lax.complex(one, jnp.zeros_like(one))
+    both = lax.complex(_finite(x), _finite(y)) / lax.complex(one, jnp.zeros_like(one))
     return both.real, both.imag
 
 
@@ -50,6 +53,11 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
 def kept_from(x: Scalars, given: Scalars) -> Scalars:
     """The array x, kept even if only one loop uses it (`kept` leaves it to that)."""
     return jnp.minimum(*kept_pair(x, x, given))
+
+
+def _finite(x: Scalars) -> Scalars:
+    most = np.asarray(np.finfo(x.dtype).max, x.dtype)
+    return jnp.maximum(-most, jnp.minimum(x, most))
 
 
 def _one(given: Scalars) -> Scalars:

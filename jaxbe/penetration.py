@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from jaxbe.components import column, dot, vector, where
+from jaxbe.components import column, dot, largest, vector, where
 from jaxbe.contact_normal import contact_normal
 from jaxbe.growth import growth_bounds
 from jaxbe.kept import kept, kept_from, kept_pair, shared
@@ -107,5 +107,7 @@ def refined(
 
 
 def _unit(n: Components) -> Components:
+    per_size = shared(1 / largest(vector(lambda i: abs(n[i]))))
+    n = vector(lambda i: n[i] * per_size)
     per_length = shared(1 / jnp.sqrt(dot(n, n)))
     return vector(lambda i: n[i] * per_length)

@@ -76,7 +76,7 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 
-def in_other_units(pair: CanonicalPair, factor: int) -> CanonicalPair:
+def in_other_units(pair: CanonicalPair, factor: float) -> CanonicalPair:
     """All lengths multiplied by a power of two, which changes no answer.
 
     XLA writes down and reads again, in dozens of arrays, what two loops share. Loops

@@ -60,12 +60,12 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
     """The value of mu, in the pair's units squared, after so many steps."""
     first = steps % STEPS_A_LOOP or min(steps, STEPS_A_LOOP)
     bracket = _advance(_start(pair), pair, first)
-    per_square = 1
+    per_square = 1.0
     for _ in range((steps - first) // STEPS_A_LOOP):
         mu, low = kept_pair(bracket.mu, bracket.low, pair.a[0])
-        pair = in_other_units(pair, 2)
-        per_square *= 4
-        resumed = Bracket(4 * mu, 4 * low, _highest(pair))
+        pair = in_other_units(pair, 0.5)
+        per_square /= 4
+        resumed = Bracket(mu / 4, low / 4, _highest(pair))
         bracket = _advance(resumed, pair, STEPS_A_LOOP)
     return bracket.mu / per_square
 

@@ -14,7 +14,6 @@ import numpy as np
 
 import jaxbe
 from benchmarks import scenes
-from tests.margin_reference import KINDS
 
 LONG = np.longdouble
 
@@ -84,6 +83,3 @@ def random_overlapping(n, seed, **options):
     """Random pairs that overlap."""
     scene = scenes.random(3 * n, seed=seed, **options)
     return scene.part(np.flatnonzero(overlapping(scene))[:n])
-
-
-__all__ = ["KINDS"]
