@@ -58,7 +58,7 @@ class Nearest(NamedTuple):
         n: the multipliers N (k - x): they point from the box to the ellipsoid's
             centre, are normal to the ellipsoid through x, and separate the pair
             when q > 1. Zero, to rounding, where x is free, and when k is in the box.
-        active: where x is held by a bound of the box: n is not zero.
+        active: where x is on the bounds of the box.
     """
 
     q: Scalars
@@ -115,7 +115,9 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
             where(better, n, best[3]),
         )
     _, q, d, n = best
-    active = (n[0] != 0, n[1] != 0, n[2] != 0)
+    # Not where n is zero: a free coordinate of a sphere has an n of rounding alone.
+    on_bound = [(d[i] <= low[i]) | (d[i] >= high[i]) for i in range(3)]
+    active = (on_bound[0], on_bound[1], on_bound[2])
     return Nearest(q, vector(lambda i: k[i] + d[i]), n, active)
 
 
