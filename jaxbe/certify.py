@@ -112,12 +112,12 @@ class _Proof:
         self.e = vector(lambda i: e[i] * per_unit)
         self.a = vector(lambda p: a[p] * per_unit)
         info = np.finfo(per_unit.dtype)
-        self.gamma = np.asarray(ROUNDINGS * info.eps, info.dtype)
+        self.gamma = float(ROUNDINGS * info.eps)
         # What is flushed to zero, before or after the scaling; and its square root.
-        tiny = np.asarray(ROUNDINGS * info.tiny, info.dtype)
+        tiny = float(ROUNDINGS * info.tiny)
         lengths = (*_absolute(self.offset), *self.e, *self.a)
         self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + sum_of(lengths))
-        self.root = np.asarray(8 * np.sqrt(info.tiny), info.dtype)
+        self.root = float(8 * np.sqrt(info.tiny))
 
     def separates(self, w: Components) -> Flags:
         """Whether w.(K - C) exceeds the sum of the support functions."""
@@ -148,7 +148,7 @@ class _Proof:
             )
         )
         inside = dot(errors, errors) * (1 + self.gamma) < 1
-        usable: Flags = defect < np.asarray(0.5, defect.dtype)
+        usable: Flags = defect < 0.5
         return inside & usable
 
     def _support(

@@ -78,7 +78,7 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
 
 def _is_too_far(pair: CanonicalPair) -> Flags:
     """Where mu, some |k| times the largest semi-axis, has no third power in floats."""
-    limit = np.finfo(pair.per_unit.dtype).max ** (1 / 3) / 64
+    limit = float(np.finfo(pair.per_unit.dtype).max) ** (1 / 3) / 64
     too_far: Flags = largest(vector(lambda i: abs(pair.k[i]))) > limit
     return too_far
 
