@@ -30,10 +30,28 @@ def bounds_at(steps=None):
     return jax.jit(functools.partial(jaxbe.distance_bounds, **options))
 
 
+CHUNK = 1000
+"""Functions are called with so many pairs at a time: one compilation for all tests."""
+
+
+def in_chunks(function, scene):
+    """The arrays of a compiled function's result, as float64 numpy arrays."""
+    parts = []
+    for start in range(0, scene.size, CHUNK):
+        which = np.arange(start, start + CHUNK) % scene.size
+        result = jax.tree.leaves(function(*scene.part(which).bodies()))
+        parts.append([np.asarray(x, np.float64) for x in result])
+    return [np.concatenate(x)[: scene.size] for x in zip(*parts, strict=True)]
+
+
 def found(scene, steps=None):
     """`jaxbe.contact` as float64 numpy arrays."""
-    contact = contact_at(steps)(*scene.bodies())
-    return jaxbe.Contact(*(np.asarray(x, np.float64) for x in contact))
+    return jaxbe.Contact(*in_chunks(contact_at(steps), scene))
+
+
+def bounds(scene, steps=None):
+    """`jaxbe.distance_bounds` likewise."""
+    return in_chunks(bounds_at(steps), scene)
 
 
 def overlapping(scene):

@@ -116,6 +116,7 @@ def test_what_is_flushed_proves_nothing():
         assert not wrong
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("kind", KINDS)
 def test_special_scenes(kind, dtype):
     scene = KINDS[kind](scenes.random(200, seed=83)).astype(dtype)

@@ -37,7 +37,7 @@ def apart(n, seed, **options):
 def test_distance_apart(low, high, steps, at_999, at_most):
     """Between the value along the direction and the distance of the witness points."""
     scene = apart(100_000, 60, low=low, high=high)
-    lower, upper = (np.asarray(x) for x in dr.bounds_at(steps)(*scene.bodies()))
+    lower, upper = dr.bounds(scene, steps)
     contact = dr.found(scene, steps)
     along = dr.value_along(scene, contact.normal)
     between = np.linalg.norm(contact.on_box - contact.on_ellipsoid, axis=1)
@@ -64,7 +64,7 @@ def test_distance_apart_in_float32():
 )
 def test_bounds_hold_at_every_count(steps):
     scene = scenes.random(5000, seed=62)
-    lower, upper = (np.asarray(x) for x in dr.bounds_at(steps)(*scene.bodies()))
+    lower, upper = dr.bounds(scene, steps)
     best = dr.found(scene).distance
     separated = ~dr.overlapping(scene)
     assert np.all(lower[separated] <= best[separated] + 1e-12)
@@ -107,7 +107,7 @@ def test_depth_is_the_least_but_seldom():
 def test_upper_bound_of_overlapping_pairs():
     """It promises a depth: no more than the least that is known, and not nothing."""
     scene, least = least_depths()
-    _, upper = (np.asarray(x) for x in dr.bounds_at()(*scene.bodies()))
+    _, upper = dr.bounds(scene)
     assert np.all(-upper <= least + 1e-12)
     assert np.median(-upper / least) > 0.1
 
@@ -212,7 +212,7 @@ def _gradient():
 
 
 def gradient_fields(scene):
-    return [np.asarray(x) for x in jax.tree.leaves(_gradient()(*scene.bodies()))]
+    return dr.in_chunks(_gradient(), scene)
 
 
 def test_gradient_against_differences():

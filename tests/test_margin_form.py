@@ -30,6 +30,7 @@ def bodies(dtype):
     return scenes.random(10_000).astype(dtype).bodies()
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("steps", COUNTS)
 def test_margin_is_one_loop_or_two(bodies, steps):
     function = jax.vmap(functools.partial(jaxbe.margin, steps=steps))
@@ -37,6 +38,7 @@ def test_margin_is_one_loop_or_two(bodies, steps):
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
+@pytest.mark.bulk
 @pytest.mark.parametrize("steps", COUNTS)
 def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
     """And two small ones that take them apart."""
@@ -46,10 +48,13 @@ def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
 
 
 @pytest.mark.parametrize("query", [jaxbe.margin, jaxbe.scaled_distance])
-def test_all_gradients_take_twelve_loops(bodies, query):
-    """One for the value, two for the normal, the rest for what is returned."""
+def test_all_gradients_take_few_loops(bodies, query):
+    """One for the value, two for the normal, the rest for what is returned.
+
+    12 with jax 0.9.2, 13 with 0.10.2; left to itself XLA makes 34.
+    """
     function = jax.vmap(jax.value_and_grad(query, argnums=(0, 1)))
-    assert programs.fusions(function, *bodies) <= 12
+    assert programs.fusions(function, *bodies) <= 13
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
