@@ -58,11 +58,6 @@ def mujoco_loop(pairs: scenes.Scene) -> Callable[[], Any]:
 def measure(pairs: int, peers: int, repeats: int) -> dict[str, Any]:
     """Pairs a second, and seconds to compile."""
     scene = scenes.random(pairs)
-    # Mirrored axes are legal here and not in MuJoCo.
-    scene = scene._replace(
-        U=scene.U * np.linalg.det(scene.U)[:, None, None],
-        V=scene.V * np.linalg.det(scene.V)[:, None, None],
-    )
     bodies = scene.astype(np.float32).bodies()
     tasks, facts = {}, {}
     for name in ("signed_distance", "contact", "margin"):

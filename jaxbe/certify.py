@@ -15,10 +15,12 @@ from jaxbe.components import (
     clip,
     column,
     dot,
+    largest,
     matrix,
     split_matrix,
     split_vector,
     stack,
+    times,
     vector,
 )
 from jaxbe.kernel import nearest
@@ -88,9 +90,9 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     e = split_vector(box.half_extents, rank)
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
     U = split_matrix(box.axes, rank)
-    size = jnp.maximum(jnp.maximum(abs(near.n[0]), abs(near.n[1])), abs(near.n[2]))
+    size = largest(_absolute(near.n))
     n = vector(lambda i: near.n[i] / jnp.where(size > 0, size, 1))
-    w = vector(lambda r: dot(U[r], n))
+    w = times(U, n)
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)
@@ -116,7 +118,7 @@ class _Proof:
         # What is flushed to zero, before or after the scaling; and its square root.
         tiny = float(ROUNDINGS * info.tiny)
         lengths = (*_absolute(self.offset), *self.e, *self.a)
-        self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + sum_of(lengths))
+        self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + _sum_of(lengths))
         self.root = float(8 * np.sqrt(info.tiny))
 
     def separates(self, w: Components) -> Flags:
@@ -140,7 +142,7 @@ class _Proof:
         z = vector(lambda p: dot(column(self.V, p), w))
         doubt = vector(lambda p: dot(_absolute(column(self.V, p)), sizes))
         defect = self._defect()
-        length = jnp.sqrt(dot(z, z)) + self.root + self.gamma * sum_of(doubt)
+        length = jnp.sqrt(dot(z, z)) + self.root + self.gamma * _sum_of(doubt)
         skew = defect * length / (1 - defect)
         errors = vector(
             lambda p: (
@@ -163,10 +165,10 @@ class _Proof:
         """A bound of |V^T V - I|."""
         products = matrix(lambda p, q: dot(column(self.V, p), column(self.V, q)))
         G = matrix(lambda p, q: products[p][q] - (1 if p == q else 0))
-        return jnp.sqrt(sum_of([dot(row, row) for row in G])) + 4 * self.gamma
+        return jnp.sqrt(_sum_of([dot(row, row) for row in G])) + 4 * self.gamma
 
 
-def sum_of(terms: Sequence[Scalars]) -> Scalars:
+def _sum_of(terms: Sequence[Scalars]) -> Scalars:
     """The sum, in the order given."""
     return functools.reduce(operator.add, terms)
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbe.components import column, dot, largest, vector, where
+from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import squared_distance
@@ -18,6 +18,7 @@ from jaxbe.penetration import refined, way_out
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.separation import shift, trial
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.support import along_axes
 from jaxbe.tangent import solve, tangent
 from jaxbe.types import Components, Flags, Scalars
 
@@ -67,7 +68,7 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     _, slopes = jax.jvp(lambda p: tangent(p, found.n).slopes, (pair,), (d_pair,))
     t_1, t_2 = solve(at, slopes)
     moved = vector(lambda i: at.first[i] * t_1 + at.second[i] * t_2)
-    along = vector(lambda p: pair.a[p] * dot(column(pair.R, p), found.n))
+    along = along_axes(pair, found.n)
     radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.a[0])
     one = jnp.ones_like(radius)
     d_distance = directional_derivative(

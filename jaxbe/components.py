@@ -69,6 +69,21 @@ def largest(x: Components) -> Scalars:
     return jnp.maximum(jnp.maximum(x[0], x[1]), x[2])
 
 
+def smallest(x: Components) -> Scalars:
+    """The smallest component; NaN if one is NaN."""
+    return jnp.minimum(jnp.minimum(x[0], x[1]), x[2])
+
+
+def is_zero(x: Components) -> Flags:
+    """Whether all components are zero."""
+    return (x[0] == 0) & (x[1] == 0) & (x[2] == 0)
+
+
+def times(m: ComponentMatrix, x: Components) -> Components:
+    """The product of a matrix and a vector."""
+    return vector(lambda i: dot(m[i], x))
+
+
 def where(condition: Flags, x: Components, y: Components) -> Components:
     """Componentwise `jnp.where`."""
     return vector(lambda i: jnp.where(condition, x[i], y[i]))

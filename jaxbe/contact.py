@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from jaxbe.closest import closest
-from jaxbe.components import dot, split_matrix, split_vector, stack, vector
+from jaxbe.components import split_matrix, split_vector, stack, times, vector
 from jaxbe.distance import DEFAULT_STEPS, MAX_STEPS, witness_points
 from jaxbe.pose import canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
@@ -74,8 +74,7 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
 
 def _turned(box: Box, x: Components) -> Components:
     """U x."""
-    U = split_matrix(box.axes, x[0].ndim)
-    return vector(lambda r: dot(U[r], x))
+    return times(split_matrix(box.axes, x[0].ndim), x)
 
 
 def _world(box: Box, x: Components) -> Vectors:

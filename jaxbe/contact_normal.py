@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxbe.components import column, dot, largest, vector, where
+from jaxbe.components import column, dot, is_zero, largest, times, vector, where
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import active_inverse, metric
 from jaxbe.pose import CanonicalPair
+from jaxbe.support import along_axes, extent
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
 
@@ -34,7 +35,7 @@ def contact_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     a huge box, or coincident centres) it is the best face normal of the box.
     """
     n, radius = _multipliers(pair, _nearest(pair, alpha))
-    total = _extent(pair, n) + radius
+    total = extent(n, pair.e) + radius
     # Each by a division of its own: products with 1 / total are split into 13 loops.
     return ContactNormal(vector(lambda i: n[i] / total), radius / total)
 
@@ -49,7 +50,9 @@ def _contact_normal_jvp(primals: Any, tangents: Any) -> Any:
     pair, alpha = primals
     near = _nearest(pair, alpha)
     n, _ = _multipliers(pair, near)
-    d_n = _where_known(near, _multipliers_tangent(primals, tangents, near))
+    d_n = _multipliers_tangent(primals, tangents, near)
+    # A face normal stays where it is.
+    d_n = vector(lambda i: jnp.where(is_zero(near.n), 0, d_n[i]))
     size = largest(vector(lambda i: abs(n[i])))
     _, tangent = jax.jvp(
         _scaled,
@@ -66,7 +69,7 @@ def _nearest(pair: CanonicalPair, alpha: Scalars) -> Nearest:
 
 def _multipliers(pair: CanonicalPair, near: Nearest) -> tuple[Components, Scalars]:
     """A direction, to some scale, and the ellipsoid's support function there."""
-    lost = _is_lost(near)
+    lost = is_zero(near.n)
     width = metric(pair.R, pair.a).width
     face = _face_normal(pair, width)
     on_face = dot(vector(lambda i: abs(face[i])), width)
@@ -96,31 +99,16 @@ def _multipliers_tangent(primals: Any, tangents: Any, near: Nearest) -> Componen
 
 def _scaled(pair: CanonicalPair, n: Components) -> ContactNormal:
     """The direction n with the support functions written out, for its derivative."""
-    terms = vector(lambda p: pair.a[p] * dot(column(pair.R, p), n))
+    terms = along_axes(pair, n)
     radius = jnp.sqrt(dot(terms, terms))
-    total = _extent(pair, n) + radius
+    total = extent(n, pair.e) + radius
     return ContactNormal(vector(lambda i: n[i] / total), radius / total)
-
-
-def _is_lost(near: Nearest) -> Flags:
-    n = near.n
-    return (n[0] == 0) & (n[1] == 0) & (n[2] == 0)
-
-
-def _where_known(near: Nearest, d_n: Components) -> Components:
-    """A face normal stays where it is."""
-    return vector(lambda i: jnp.where(_is_lost(near), 0, d_n[i]))
-
-
-def _extent(pair: CanonicalPair, n: Components) -> Scalars:
-    """E = e.|n|, the support function of the box."""
-    return dot(vector(lambda i: abs(n[i])), pair.e)
 
 
 def _shape_times(n: Components, R: ComponentMatrix, a: Components) -> Components:
     """S n."""
     weighted = vector(lambda p: a[p] * a[p] * dot(column(R, p), n))
-    return vector(lambda i: dot(R[i], weighted))
+    return times(R, weighted)
 
 
 def _face_normal(pair: CanonicalPair, width: Components) -> Components:

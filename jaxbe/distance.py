@@ -5,12 +5,13 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxbe.closest import closest
-from jaxbe.components import column, dot, vector
+from jaxbe.components import clip, dot, smallest, vector
 from jaxbe.growth import STEPS_A_LOOP, growth_bounds
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric
 from jaxbe.pose import CanonicalPair, canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
 from jaxbe.validate import as_count
 
@@ -97,13 +98,13 @@ def witness_points(pair: CanonicalPair, n: Components) -> tuple[Components, Comp
     In box coordinates and the pair's units. Where n_i is zero x_i is free, and taken
     next to y_i.
     """
-    along = vector(lambda p: pair.a[p] * dot(column(pair.R, p), n))
+    along = along_axes(pair, n)
     radius = jnp.sqrt(dot(along, along))
     reach = vector(lambda p: pair.a[p] * along[p] / radius)
     y = vector(lambda i: pair.k[i] - dot(pair.R[i], reach))
 
     def coordinate(i: int) -> Scalars:
-        free = jnp.maximum(-pair.e[i], jnp.minimum(y[i], pair.e[i]))
+        free = clip(y[i], -pair.e[i], pair.e[i])
         return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * pair.e[i])
 
     return vector(coordinate), y
@@ -112,5 +113,5 @@ def witness_points(pair: CanonicalPair, n: Components) -> tuple[Components, Comp
 def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
     _, alpha = growth_bounds(pair, STEPS_A_LOOP)
-    smallest = [jnp.minimum(jnp.minimum(x[0], x[1]), x[2]) for x in (pair.e, pair.a)]
-    return jnp.maximum(1 - alpha, 0) * (smallest[0] + smallest[1]) / pair.per_unit
+    ball = smallest(pair.e) + smallest(pair.a)
+    return jnp.maximum(1 - alpha, 0) * ball / pair.per_unit

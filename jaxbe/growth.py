@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxbe.components import dot, largest, split_vector, vector
+from jaxbe.components import dot, is_zero, largest, split_vector, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_from, kept_pair
@@ -41,6 +41,7 @@ from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric, squared_length
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
 
 MAX_STEPS = 10
@@ -64,11 +65,11 @@ class Iterate(NamedTuple):
 def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     """A lower and an upper bound of alpha after `steps` steps."""
     first = max(0, steps - STEPS_A_LOOP)
-    iterate = start(pair, metric(pair.R, pair.a))
     if first:
         iterate = _first_loop(pair, first)
-        pair = in_other_units(pair, 4)
-    iterate = _more_steps(iterate, pair, steps - first)
+        iterate = _more_steps(iterate, in_other_units(pair, 4), STEPS_A_LOOP)
+    else:
+        iterate = _first_steps(pair, steps)
     return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
 
 
@@ -134,7 +135,7 @@ def _kept_normal(
 
 def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     n, radius = contact_normal(pair, alpha)
-    here = _coincident(pair.k)
+    here = is_zero(pair.k)
     metres = vector(lambda i: jnp.where(here, 0, n[i] * pair.per_unit))
     return ContactNormal(metres, radius)
 
@@ -157,11 +158,11 @@ def step(iterate: Iterate, pair: CanonicalPair, m: Metric) -> Iterate:
 
 def _newton(alpha: Scalars, near: Nearest, e: Components) -> Scalars:
     """quotient(n), from sums of positive terms; alpha where n is lost to rounding."""
-    extent = _extent(near.n, e)
+    reach = extent(near.n, e)
     root = jnp.sqrt(near.q)
-    total = extent + root
+    total = reach + root
     lost = total == 0
-    return jnp.where(lost, alpha, (near.q + alpha * extent) / jnp.where(lost, 1, total))
+    return jnp.where(lost, alpha, (near.q + alpha * reach) / jnp.where(lost, 1, total))
 
 
 def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalars:
@@ -173,7 +174,7 @@ def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> S
     inverse = active_inverse(near.active, m)
     side = vector(lambda i: jnp.where(near.active[i], jnp.sign(n[i]) * e[i], 0))
     curvature = dot(side, vector(lambda i: dot(inverse[i], side)))
-    b = alpha + _extent(n, e)
+    b = alpha + extent(n, e)
     c = near.q - alpha * alpha
     discriminant = jnp.maximum(b * b + (1 - curvature) * c, 0)
     total = b + jnp.sqrt(discriminant)
@@ -191,7 +192,7 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     Written for one loop: no root with two uses, nothing compared with a quotient.
     """
     square = alpha * alpha
-    b = alpha * (alpha + _extent(near.n, e))
+    b = alpha * (alpha + extent(near.n, e))
     c = near.q - square
     discriminant = b * b + (square - squared_length(near.x, m)) * c
     total = b + jnp.sqrt(jnp.maximum(discriminant, 0))
@@ -199,12 +200,3 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     rho = c / jnp.where(usable, total, 1)
     simple = jnp.sqrt(jnp.maximum(square, near.q))
     return jnp.where(usable, jnp.minimum(simple, alpha * (1 + rho)), simple)
-
-
-def _extent(n: Components, e: Components) -> Scalars:
-    """E = e.|n|, the support function of the box."""
-    return dot(vector(lambda i: abs(n[i])), e)
-
-
-def _coincident(k: Components) -> Any:
-    return (k[0] == 0) & (k[1] == 0) & (k[2] == 0)

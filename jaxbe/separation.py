@@ -19,12 +19,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.components import column, dot, largest, vector
+from jaxbe.components import dot, largest, times, vector
 from jaxbe.kept import kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, Shape, active_inverse, inflated, metric_of, shape
 from jaxbe.pose import CanonicalPair, in_other_units
-from jaxbe.types import ComponentMatrix, Components, Scalars
+from jaxbe.support import along_axes
+from jaxbe.types import Components, Scalars
 
 STEPS_A_LOOP = 4
 """As in `jaxbe.growth`: as many as XLA compiles well in one expression."""
@@ -74,7 +75,7 @@ def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
     """Evaluates the kernel of the ellipsoid swollen by mu."""
     m = metric_of(inflated(form, mu), shared)
     near = nearest(pair.k, pair.e, m)
-    terms = vector(lambda p: pair.a[p] * dot(column(pair.R, p), near.n))
+    terms = along_axes(pair, near.n)
     return Trial(
         near=near,
         norm=shared(jnp.sqrt(dot(near.n, near.n))),
@@ -82,11 +83,6 @@ def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
         support=times(pair.R, vector(lambda p: pair.a[p] * terms[p])),
         metric=m,
     )
-
-
-def times(m: ComponentMatrix, x: Components) -> Components:
-    """The matrix product with a vector."""
-    return vector(lambda i: dot(m[i], x))
 
 
 def _start(pair: CanonicalPair) -> Bracket:

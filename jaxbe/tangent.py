@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.components import clip, column, dot, vector, where
+from jaxbe.components import clip, column, dot, smallest, vector, where
 from jaxbe.kept import shared
 from jaxbe.pose import CanonicalPair
+from jaxbe.support import along_axes, extent
 from jaxbe.types import Components, Scalars
 
 LONGEST_STEP = 0.5
@@ -40,9 +41,8 @@ class Tangent(NamedTuple):
 
 def depth(pair: CanonicalPair, n: Components) -> Scalars:
     """f(n), for a unit n; minus the distance where the pair is apart along n."""
-    along = vector(lambda p: pair.a[p] * dot(column(pair.R, p), n))
-    extent = dot(vector(lambda i: abs(n[i])), pair.e)
-    return extent + jnp.sqrt(dot(along, along)) - dot(n, pair.k)
+    along = along_axes(pair, n)
+    return extent(n, pair.e) + jnp.sqrt(dot(along, along)) - dot(n, pair.k)
 
 
 def tangent(pair: CanonicalPair, n: Components) -> Tangent:
@@ -98,7 +98,7 @@ def improved(
     t_1, t_2 = _newton(at)
     move = vector(lambda i: at.first[i] * t_1 + at.second[i] * t_2)
     crossings = vector(lambda i: _crossing(n[i], move[i]))
-    nearest = jnp.minimum(jnp.minimum(crossings[0], crossings[1]), crossings[2])
+    nearest = smallest(crossings)
     best = n
     for length in (jnp.ones_like(nearest), jnp.minimum(nearest, SHORT_STEP)):
         candidate = _moved(n, move, length, crossings)
