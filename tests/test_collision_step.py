@@ -150,7 +150,8 @@ def assert_derivatives_are_right(model, derivative, tolerance):
 
 
 def test_forward_derivative_of_a_rollout():
-    assert_derivatives_are_right(model_of(), jax.jacfwd, 1e-7)
+    """The solver goes on to the end, or differences would be those of its ends."""
+    assert_derivatives_are_right(model_of(tolerance=1e-14), jax.jacfwd, 1e-7)
 
 
 @pytest.mark.slow
