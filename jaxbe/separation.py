@@ -58,7 +58,10 @@ class Bracket(NamedTuple):
 
 
 def shift(pair: CanonicalPair, steps: int) -> Scalars:
-    """The value of mu, in the pair's units squared, after so many steps."""
+    """The value of mu, in the pair's units squared, after so many steps.
+
+    Zero where the bodies overlap.
+    """
     first = steps % STEPS_A_LOOP or min(steps, STEPS_A_LOOP)
     bracket = _advance(_start(pair), pair, first)
     per_square = 1.0
@@ -66,7 +69,7 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
         mu, low = kept_pair(bracket.mu, bracket.low, pair.a[0])
         pair = in_other_units(pair, 0.5)
         per_square /= 4
-        resumed = Bracket(mu / 4, low / 4, _highest(pair))
+        resumed = Bracket(mu / 4, low / 4, jnp.where(mu > 0, _highest(pair), 0))
         bracket = _advance(resumed, pair, STEPS_A_LOOP)
     return bracket.mu / per_square
 
@@ -91,7 +94,7 @@ def _start(pair: CanonicalPair) -> Bracket:
     at = trial(pair, shape(pair.R, pair.a), zero)
     square = dot(at.near.n, at.near.n)
     mu = at.radius * at.radius * jnp.maximum(at.radius - 1, 0) / _positive(square)
-    high = _highest(pair)
+    high = jnp.where(at.near.q > 1, _highest(pair), zero)
     return Bracket(jnp.minimum(mu, high), zero, high)
 
 
@@ -124,7 +127,7 @@ def _step(bracket: Bracket, pair: CanonicalPair, form: Shape) -> Bracket:
     # Both sides times the slope, so that nothing is compared with a quotient.
     inside = (rise >= (low - mu) * slope) & (rise <= (high - mu) * slope)
     middle = jnp.sqrt(jnp.maximum(low * high, high * high * 1e-12))
-    proposed = mu + rise / jnp.where(inside, slope, 1)
+    proposed = mu + rise / _positive(jnp.where(inside, slope, 1))
     return Bracket(jnp.where(inside, proposed, middle), low, high)
 
 
