@@ -49,7 +49,7 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     pair = canonical_pair(box, ellipsoid)
     u = _best_start(pair, steps)
     u = _refined(in_other_units(pair, 8), u, LAST_ROUNDS)
-    u = kept_direction(u, pair.a[0])
+    u = kept_direction(u, pair.k[0])
     F, length = depth(search(pair), u)
     n = vector(lambda i: u[i] / length)
     distance = -F / length / pair.per_unit
@@ -71,7 +71,7 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     away = dot(moved, found.n)
     moved = vector(lambda i: moved[i] - away * found.n[i])
     along = along_axes(pair, found.n)
-    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.a[0])
+    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.k[0])
     one = jnp.ones_like(radius)
     d_distance = directional_derivative(
         bodies, tangents, found.n, radius, of_extent=one, of_radius=one
@@ -109,7 +109,7 @@ def _descended(
     """The best end of two descents, in a loop of its own."""
     ends = (_refined(pair, u, rounds) for u in starts)
     best = functools.reduce(functools.partial(_better, pair), ends)
-    return kept_direction(best, pair.a[0])
+    return kept_direction(best, pair.k[0])
 
 
 def _refined(pair: CanonicalPair, u: Components, rounds: int) -> Components:

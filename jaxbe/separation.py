@@ -66,7 +66,7 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
     bracket = _advance(_start(pair), pair, first)
     per_square = 1.0
     for _ in range((steps - first) // STEPS_A_LOOP):
-        mu, low = kept_pair(bracket.mu, bracket.low, pair.a[0])
+        mu, low = kept_pair(bracket.mu, bracket.low, pair.k[0])
         pair = in_other_units(pair, 0.5)
         per_square /= 4
         resumed = Bracket(mu / 4, low / 4, jnp.where(mu > 0, _highest(pair), 0))

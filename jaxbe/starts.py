@@ -29,7 +29,7 @@ TRIED = 3
 
 def first_start(pair: CanonicalPair, steps: int) -> Components:
     """Start 0, of any length."""
-    given = pair.a[0]
+    given = pair.k[0]
     mu = kept_from(shift(pair, steps), given)
     alpha = kept_from(growth_bounds(in_other_units(pair, 2), GROWTH_STEPS)[0], given)
     there = in_other_units(pair, 4)
@@ -50,7 +50,7 @@ def other_starts(pair: CanonicalPair) -> Components:
         ]
         numbers.append(number)
     # One number, because a loop has one result.
-    return _digits(kept_from(numbers[0] + 8 * numbers[1] + 64 * numbers[2], pair.a[0]))
+    return _digits(kept_from(numbers[0] + 8 * numbers[1] + 64 * numbers[2], pair.k[0]))
 
 
 def every_other_start(pair: CanonicalPair) -> list[Components]:
