@@ -24,8 +24,8 @@ def kept(x: Scalars, given: Scalars) -> Scalars:
 
     Args:
         x: what several results need.
-        given: an array at hand, of the whole batch (a division by what XLA repeats along
-            an axis becomes a product, and keeps nothing); NaN makes x NaN.
+        given: an array at hand, of the whole batch: a division by what XLA repeats
+            along an axis becomes a product, and keeps nothing. NaN makes x NaN.
     """
     return x / _one(given)
 
