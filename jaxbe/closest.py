@@ -43,7 +43,10 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     """The direction of the distance or of the depth, by the test of section 4."""
     # Loops in different units share little: see `jaxbe.pose.in_other_units`.
     pair = canonical_pair(box, ellipsoid)
-    given = pair.a[0]
+    # Lengths may have fewer batch axes than poses. XLA turns a division by what it
+    # repeats along an axis into a product, and then keeps nothing.
+    given = kept_from(pair.a[0], pair.k[0])
+    pair = pair._replace(a=(given, *pair.a[1:]))
     mu = kept_from(shift(pair, steps), given)
     inside = way_out(in_other_units(pair, 8))
     n, _ = _either(in_other_units(pair, 2), 4 * mu, inside)
