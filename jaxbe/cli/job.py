@@ -83,6 +83,10 @@ def _draw(model: Any, result: Report, options: Options) -> picture.Picture:
         qpos=deepest.qpos.tolist(),
         overlapping=geom[deepest.overlapping].tolist(),
         focus=geom[deepest.pair].tolist(),
+        distance=float(deepest.contact.distance),
+        normal=deepest.contact.normal.tolist(),
+        on_ellipsoid=deepest.contact.on_ellipsoid.tolist(),
+        on_box=deepest.contact.on_box.tolist(),
     )
     return picture.draw(model, view, options.picture)
 
