@@ -61,6 +61,7 @@ def _add_geom(scene: Any, kind: Any, position: Point, color: Color) -> Any:
     geom = scene.geoms[scene.ngeom]
     rgba = np.array(color, np.float32)
     mujoco.mjv_initGeom(geom, kind, np.zeros(3), position, np.eye(3).ravel(), rgba)
+    geom.emission = 0.4  # Bright in the dark too.
     geom.segid = geom.objid = scene.ngeom
     scene.ngeom += 1
     return geom

@@ -87,12 +87,12 @@ def _add_contact(axes: Any, view: View) -> None:
         ("on the ellipsoid", view.on_ellipsoid, ON_ELLIPSOID_COLOR),
         ("on the box", view.on_box, ON_BOX_COLOR),
     ):
-        style = {"color": color, "markeredgecolor": "white", "linestyle": "none"}
+        style = {"color": color, "mec": "white", "ms": 8, "ls": "none"}
         axes.plot(*np.array([point]).T, marker="o", label=name, zorder=12, **style)
     limits = axes.get_xlim(), axes.get_ylim(), axes.get_zlim()
     start, end = view.arrow(NORMAL_BEYOND * float(np.ptp(limits, axis=1).max()))
     arrow = *start, *(end - start)
-    rim, fill = {"color": "black", "lw": 4}, {"color": NORMAL_COLOR, "lw": 2}
+    rim, fill = {"color": "black", "lw": 5}, {"color": NORMAL_COLOR, "lw": 3}
     axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, **rim)
     axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, label="normal", **fill)
     axes.legend(title=view.caption(), loc="upper left")

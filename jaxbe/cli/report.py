@@ -201,7 +201,9 @@ def _heading(report: Report, options: Options) -> list[str]:
 
 def _pair_table(report: Report, rows: int) -> Table:
     results, states = report.sweep.pairs, report.sweep.totals.states
-    table = Table("ellipsoid", "box", box=None)
+    table = Table(box=None)
+    for heading in ("ellipsoid", "box"):
+        table.add_column(heading, overflow="fold")
     for heading in (
         "states\noverlapping",
         "certified\n+/-/?",
