@@ -44,7 +44,11 @@ class Closest(NamedTuple):
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
 def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
-    """The direction of the distance or of the depth: the best of several descents."""
+    """The direction of the distance or of the depth: the best of several descents.
+
+    Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
+    descents polish what `jaxbe.separation` found.
+    """
     # Loops in different units share little: see `jaxbe.pose.in_other_units`.
     pair = canonical_pair(box, ellipsoid)
     u = _best_start(pair, steps)

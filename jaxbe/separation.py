@@ -36,14 +36,12 @@ class Trial(NamedTuple):
 
     Attributes:
         near: the kernel's answer.
-        norm: |n|.
         radius: s(n).
         support: S n.
         metric: of S + mu I.
     """
 
     near: Nearest
-    norm: Scalars
     radius: Scalars
     support: Components
     metric: Metric
@@ -81,7 +79,6 @@ def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
     terms = along_axes(pair, near.n)
     return Trial(
         near=near,
-        norm=shared(jnp.sqrt(dot(near.n, near.n))),
         radius=shared(jnp.sqrt(dot(terms, terms))),
         support=times(pair.R, vector(lambda p: pair.a[p] * terms[p])),
         metric=m,
