@@ -20,7 +20,7 @@ from jaxbe.separation import shift
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
 
-GROWTH_STEPS = 2
+GROWTH_STEPS = 1
 """Enough for a start."""
 
 TRIED = 3
@@ -31,8 +31,8 @@ def first_start(pair: CanonicalPair, steps: int) -> Components:
     """Start 0, of any length."""
     given = pair.k[0]
     mu = kept_from(shift(pair, steps), given)
-    alpha = kept_from(growth_bounds(in_other_units(pair, 2), GROWTH_STEPS)[0], given)
     there = in_other_units(pair, 4)
+    alpha, _ = growth_bounds(there, GROWTH_STEPS)
     return kept_direction(_direction(there, jnp.minimum(alpha, 1), 16 * mu), given)
 
 
