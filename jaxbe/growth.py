@@ -73,6 +73,11 @@ def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
 
 
+def growth_estimate(pair: CanonicalPair, steps: int) -> Scalars:
+    """Alpha to so many steps, to at most STEPS_A_LOOP: not a bound, but nearer."""
+    return _first_steps(pair, steps).trial
+
+
 def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
     """Some steps in loops of their own; see STEPS_A_LOOP."""
     trial, lower, _ = _first_steps(pair, count)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxbe.components import column, dot, is_zero, vector, where
-from jaxbe.growth import growth_bounds
+from jaxbe.growth import growth_estimate
 from jaxbe.kept import kept_direction, kept_from, shared
 from jaxbe.kernel import nearest
 from jaxbe.metric import inflated, metric_of, shape
@@ -32,7 +32,7 @@ def first_start(pair: CanonicalPair, steps: int) -> Components:
     given = pair.k[0]
     mu = kept_from(shift(pair, steps), given)
     there = in_other_units(pair, 4)
-    alpha, _ = growth_bounds(there, GROWTH_STEPS)
+    alpha = growth_estimate(there, GROWTH_STEPS)
     return kept_direction(_direction(there, jnp.minimum(alpha, 1), 16 * mu), given)
 
 
