@@ -33,7 +33,9 @@ def ellipsoid_box(model: Any, data: Any, key: Any, geom: jax.Array) -> Collision
         derivatives and NaN as of `jaxbe.contact`.
     """
     del key
-    found: Collision = _collide(data.geom_xpos, data.geom_xmat, model.geom_size, geom)
+    position = data.geom_xpos
+    size = jnp.asarray(model.geom_size, position.dtype)
+    found: Collision = _collide(position, data.geom_xmat, size, geom)
     return found
 
 
@@ -47,9 +49,7 @@ def _collide(
 ) -> Collision:
     # Sizes are often constants, those of a model that a step closes over. What is made
     # of constants alone keeps nothing (see `jaxbe.kept`): XLA would not come to an end.
-    size = lax.optimization_barrier(  # type: ignore[no-untyped-call]
-        jnp.asarray(size, position.dtype)
-    )
+    size = lax.optimization_barrier(size)  # type: ignore[no-untyped-call]
     ellipsoid, box = geom[:, 0], geom[:, 1]
     touch = contact(
         Box.unchecked(position[box], axes[box], size[box]),
