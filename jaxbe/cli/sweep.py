@@ -30,7 +30,7 @@ from jaxbe.cli.states import Floats, Poses, States, forward_kinematics
 from jaxbe.mjx import Pairs, gather
 
 PAIRS_PER_BATCH = 250_000
-"""Pairs and states at a time unless the user says otherwise: some 50 MB."""
+"""Pairs and states at a time unless the user says otherwise: some 100 MB."""
 
 _NOWHERE: Any = np.full(3, np.nan)
 NO_CONTACT = Contact(_NOWHERE[0], _NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
