@@ -33,7 +33,9 @@ def first_start(pair: CanonicalPair, steps: int) -> Components:
     mu = kept_from(shift(pair, steps), given)
     there = in_other_units(pair, 4)
     alpha = growth_estimate(there, GROWTH_STEPS)
-    return kept_direction(_direction(there, jnp.minimum(alpha, 1), 16 * mu), given)
+    # One of the two at a time: mu is zero where they overlap.
+    alpha = jnp.where(mu > 0, 1, jnp.minimum(alpha, 1))
+    return kept_direction(_direction(there, alpha, 16 * mu), given)
 
 
 def other_starts(pair: CanonicalPair) -> Components:

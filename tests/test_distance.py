@@ -31,7 +31,7 @@ def apart(n, seed, **options):
     [
         (0.05, 2.0, None, 1e-10, 1e-8),
         (0.001, 1.0, None, 1e-9, 1e-2),
-        pytest.param(0.001, 1.0, 5, 1e-9, 1e-9, marks=pytest.mark.slow),
+        pytest.param(0.001, 1.0, 4, 1e-12, 1e-11, marks=pytest.mark.slow),
     ],
 )
 def test_distance_apart(low, high, steps, at_999, at_most):
