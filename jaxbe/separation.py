@@ -72,6 +72,11 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
     return bracket.mu / per_square
 
 
+def refined_shift(pair: CanonicalPair, mu: Scalars, steps: int) -> Scalars:
+    """A guess of mu after so many more steps, at most STEPS_A_LOOP."""
+    return _advance(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps).mu
+
+
 def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
     """Evaluates the kernel of the ellipsoid swollen by mu."""
     m = metric_of(inflated(form, mu), shared)
