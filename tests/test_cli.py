@@ -657,10 +657,15 @@ def pixels(path):
 
 def share_of(image, color):
     """How much of an image has roughly the hue of a colour."""
+    return np.mean(has_hue(image, color))
+
+
+def has_hue(image, color):
+    """Which pixels have roughly the hue of a colour."""
     hue = np.array(color) - np.mean(color)
     own = image - image.mean(axis=-1, keepdims=True)
     size = np.linalg.norm(own, axis=-1) * np.linalg.norm(hue)
-    return np.mean((own @ hue > 0.9 * size) & (size > 0.15 * hue @ hue))
+    return (own @ hue > 0.9 * size) & (size > 0.15 * hue @ hue)
 
 
 def draw(run_json, path, *arguments):

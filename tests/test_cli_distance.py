@@ -13,7 +13,7 @@ from jaxbe.cli import main
 from jaxbe.cli.agreement import EXAMPLES, Agreement
 from jaxbe.cli.pair_results import PairResults
 from jaxbe.cli.picture import NORMAL_COLOR, View, draw
-from tests.test_cli import NO_OPENGL, pixels, share_of
+from tests.test_cli import NO_OPENGL, has_hue, pixels, share_of
 
 SCENE = """
 <mujoco><worldbody><light pos="0 0 3"/>
@@ -288,3 +288,15 @@ def test_points_and_normal_are_seen(scene, tmp_path, monkeypatch, opengl, lift):
     image = pixels(path)
     assert share_of(image[:, 720:], YELLOW) > 0.0005
     assert share_of(image[:, :720], YELLOW) < 1e-4
+
+
+def test_the_rendered_arrow_goes_beyond_both_points(scene, tmp_path):
+    """The camera looks at the middle of them."""
+    path = tmp_path / "out.png"
+    drawn = draw(mujoco.MjModel.from_xml_path(scene), view(scene, 0.4, -0.22), path)
+    if not drawn.drawn_by.startswith("MuJoCo"):
+        pytest.skip(drawn.why)
+    rows, _ = np.nonzero(has_hue(pixels(path)[:, 720:], YELLOW))
+    above, below = 360 - rows.min(), rows.max() - 360
+    assert above > 60
+    assert above / below == pytest.approx(1, abs=0.3)
