@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,19 +12,22 @@ import numpy as np
 
 from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_from, kept_pair
-from jaxbe.kernel import squared_distance
-from jaxbe.metric import metric, shape
-from jaxbe.penetration import refined, way_out
+from jaxbe.kept import kept, kept_direction
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
-from jaxbe.separation import shift, trial
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.starts import every_other_start, first_start, numbered_start, other_starts
 from jaxbe.support import along_axes
-from jaxbe.tangent import solve, tangent
+from jaxbe.tangent import Tangent, depth, improved, search, solve, tangent
 from jaxbe.types import Components, Flags, Scalars
 
-LAST_ROUNDS = 2
-"""Steps of the descent of pairs that overlap, after those of `jaxbe.penetration`."""
+THOROUGH = 5
+"""From so many steps on the descents begin at all seven starts, not at four."""
+
+MOST_FIRST_ROUNDS = 3
+"""Steps of the first descents: as many as a loop holds for two starts."""
+
+LAST_ROUNDS = 4
+"""Steps from the best of them."""
 
 
 class Closest(NamedTuple):
@@ -40,18 +44,20 @@ class Closest(NamedTuple):
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
 def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
-    """The direction of the distance or of the depth, by the test of section 4."""
+    """The direction of the distance or of the depth: the best of several descents.
+
+    Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
+    descents polish what `jaxbe.separation` found.
+    """
     # Loops in different units share little: see `jaxbe.pose.in_other_units`.
     pair = canonical_pair(box, ellipsoid)
-    given = pair.a[0]
-    mu = kept_from(shift(pair, steps), given)
-    inside = way_out(in_other_units(pair, 8))
-    n, _ = _either(in_other_units(pair, 2), 4 * mu, inside)
-    m, distance = _either(in_other_units(pair, 4), 16 * mu, inside)
-    distance = jnp.where(_is_too_far(pair), jnp.nan, distance)
-    n_0, n_1 = kept_pair(n[0], n[1], given)
-    n_2, distance = kept_pair(m[2], distance, given)
-    return Closest((n_0, n_1, n_2), distance)
+    u = _best_start(pair, steps)
+    u = _refined(in_other_units(pair, 8), u, LAST_ROUNDS)
+    u = kept_direction(u, pair.k[0])
+    F, length = depth(search(pair), u)
+    n = vector(lambda i: u[i] / length)
+    distance = -F / length / pair.per_unit
+    return Closest(n, jnp.where(_is_too_far(pair), jnp.nan, distance))
 
 
 @closest.defjvp
@@ -64,12 +70,12 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     """
     found = closest(*bodies, steps)
     pair, d_pair = jax.jvp(canonical_pair, bodies, tangents)
-    at = tangent(pair, found.n)
-    _, slopes = jax.jvp(lambda p: tangent(p, found.n).slopes, (pair,), (d_pair,))
-    t_1, t_2 = solve(at, slopes)
-    moved = vector(lambda i: at.first[i] * t_1 + at.second[i] * t_2)
+    at, slopes = jax.jvp(lambda p: _tangent(p, found.n), (pair,), (d_pair,))
+    moved = solve(at, slopes.slopes)
+    away = dot(moved, found.n)
+    moved = vector(lambda i: moved[i] - away * found.n[i])
     along = along_axes(pair, found.n)
-    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.a[0])
+    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.k[0])
     one = jnp.ones_like(radius)
     d_distance = directional_derivative(
         bodies, tangents, found.n, radius, of_extent=one, of_radius=one
@@ -84,15 +90,44 @@ def _is_too_far(pair: CanonicalPair) -> Flags:
     return too_far
 
 
-def _either(
-    pair: CanonicalPair, mu: Scalars, inside: Components
-) -> tuple[Components, Scalars]:
-    """The way out where they overlap, else the direction that mu gives; metres."""
-    at = trial(pair, shape(pair.R, pair.a), mu)
-    norm = jnp.where(at.norm == 0, 1, at.norm)
-    outside = vector(lambda i: at.near.n[i] / norm)
-    distance = mu * norm + at.radius * (at.radius - 1) / norm
-    inside, depth = refined(pair, inside, LAST_ROUNDS)
-    overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
-    n = where(overlaps, inside, outside)
-    return n, jnp.where(overlaps, -depth, distance) / pair.per_unit
+def _best_start(pair: CanonicalPair, steps: int) -> Components:
+    """The best end of the first descents."""
+    if steps < THOROUGH:
+        numbers = other_starts(in_other_units(pair, 16))
+        others = [numbered_start(pair, number) for number in numbers]
+    else:
+        others = every_other_start(pair)
+    starts = [first_start(pair, steps), *others]
+    rounds = min(max(steps - 1, 1), MOST_FIRST_ROUNDS)
+    groups = [starts[i : i + 2] for i in range(0, len(starts), 2)]
+    ends = [
+        _descended(in_other_units(pair, 32 << i), group, rounds)
+        for i, group in enumerate(groups)
+    ]
+    return functools.reduce(functools.partial(_better, pair), ends)
+
+
+def _descended(
+    pair: CanonicalPair, starts: Sequence[Components], rounds: int
+) -> Components:
+    """The best end of two descents, in a loop of its own."""
+    ends = (_refined(pair, u, rounds) for u in starts)
+    best = functools.reduce(functools.partial(_better, pair), ends)
+    return kept_direction(best, pair.k[0])
+
+
+def _refined(pair: CanonicalPair, u: Components, rounds: int) -> Components:
+    here = search(pair)
+    for _ in range(rounds):
+        u = improved(here, u)
+    return u
+
+
+def _tangent(pair: CanonicalPair, n: Components) -> Tangent:
+    return tangent(search(pair), n)
+
+
+def _better(pair: CanonicalPair, u: Components, v: Components) -> Components:
+    """The direction of the smaller depth."""
+    here = search(pair)
+    return where(depth(here, v).is_less(depth(here, u)), v, u)

@@ -73,12 +73,17 @@ def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
 
 
+def growth_estimate(pair: CanonicalPair, steps: int) -> Scalars:
+    """Alpha to so many steps, to at most STEPS_A_LOOP: not a bound, but nearer."""
+    return _first_steps(pair, steps).trial
+
+
 def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
     """Some steps in loops of their own; see STEPS_A_LOOP."""
     trial, lower, _ = _first_steps(pair, count)
     *_, upper = _first_steps(in_other_units(pair, 2), count)
-    trial, lower = kept_pair(trial, lower, pair.a[0])
-    return Iterate(trial, lower, kept_from(upper, pair.a[0]))
+    trial, lower = kept_pair(trial, lower, pair.k[0])
+    return Iterate(trial, lower, kept_from(upper, pair.k[0]))
 
 
 def _first_steps(pair: CanonicalPair, count: int) -> Iterate:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxbe.types import Scalars
+from jaxbe.types import Components, Scalars
 
 
 @jax.custom_jvp
@@ -24,7 +24,8 @@ def kept(x: Scalars, given: Scalars) -> Scalars:
 
     Args:
         x: what several results need.
-        given: an array at hand, best an argument of the program; NaN makes x NaN.
+        given: an array at hand, of the whole batch: a division by what XLA repeats
+            along an axis becomes a product, and keeps nothing. NaN makes x NaN.
     """
     return x / _one(given)
 
@@ -53,6 +54,46 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
 def kept_from(x: Scalars, given: Scalars) -> Scalars:
     """The array x, kept even if only one loop uses it (`kept` leaves it to that)."""
     return jnp.minimum(*kept_pair(x, x, given))
+
+
+def kept_direction(u: Components, given: Scalars) -> Components:
+    """A positive multiple of u, its largest component +-1, from one loop.
+
+    The other two components, over the largest, are a pair of arrays. Which one is the
+    largest, and its sign, go into their exponents; what is far below rounding is zero.
+    """
+    step, least = _exponents(given)
+    size = [abs(x) for x in u]
+    is_first = (size[0] >= size[1]) & (size[0] >= size[2])
+    is_last = ~is_first & (size[2] > size[1])
+    held = jnp.where(is_first, u[0], jnp.where(is_last, u[2], u[1]))
+    x = _not_zero(shared(jnp.where(is_first, u[1], u[0]) / held), least)
+    y = _not_zero(shared(jnp.where(is_last, u[1], u[2]) / held), least)
+    x = x * jnp.where(is_first, 1, jnp.where(is_last, step * step, step))
+    x, y = kept_pair(x, y * jnp.where(held < 0, step, 1), given)
+    is_first, is_last = abs(x) < 16, abs(x) > 16 * step
+    sign = jnp.where(abs(y) < 16, 1, -1).astype(y.dtype)
+    x = x * jnp.where(is_first, 1, jnp.where(is_last, 1 / (step * step), 1 / step))
+    x = sign * _or_zero(x, least)
+    y = sign * _or_zero(y * jnp.where(sign < 0, 1 / step, 1), least)
+    return (
+        jnp.where(is_first, sign, x),
+        jnp.where(is_first, x, jnp.where(is_last, y, sign)),
+        jnp.where(is_last, sign, y),
+    )
+
+
+def _exponents(given: Scalars) -> tuple[float, float]:
+    """A factor that tells numbers up to 1 apart, and the smallest of them."""
+    return (2.0**40, 2.0**-30) if given.dtype == np.float32 else (2.0**100, 2.0**-80)
+
+
+def _not_zero(x: Scalars, least: float) -> Scalars:
+    return jnp.where(abs(x) < least, least / 4, x)
+
+
+def _or_zero(x: Scalars, least: float) -> Scalars:
+    return jnp.where(abs(x) < least, 0, x)
 
 
 def _finite(x: Scalars) -> Scalars:

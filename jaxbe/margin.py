@@ -93,7 +93,7 @@ def margin_bounds(
     """
     pair = canonical_pair(box, ellipsoid)
     lower, upper = kept_pair(
-        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), pair.a[0]
+        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), pair.k[0]
     )
     return lower - 1, upper - 1
 

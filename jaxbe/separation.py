@@ -36,14 +36,12 @@ class Trial(NamedTuple):
 
     Attributes:
         near: the kernel's answer.
-        norm: |n|.
         radius: s(n).
         support: S n.
         metric: of S + mu I.
     """
 
     near: Nearest
-    norm: Scalars
     radius: Scalars
     support: Components
     metric: Metric
@@ -58,17 +56,25 @@ class Bracket(NamedTuple):
 
 
 def shift(pair: CanonicalPair, steps: int) -> Scalars:
-    """The value of mu, in the pair's units squared, after so many steps."""
+    """The value of mu, in the pair's units squared, after so many steps.
+
+    Zero where the bodies overlap.
+    """
     first = steps % STEPS_A_LOOP or min(steps, STEPS_A_LOOP)
     bracket = _advance(_start(pair), pair, first)
     per_square = 1.0
     for _ in range((steps - first) // STEPS_A_LOOP):
-        mu, low = kept_pair(bracket.mu, bracket.low, pair.a[0])
+        mu, low = kept_pair(bracket.mu, bracket.low, pair.k[0])
         pair = in_other_units(pair, 0.5)
         per_square /= 4
-        resumed = Bracket(mu / 4, low / 4, _highest(pair))
+        resumed = Bracket(mu / 4, low / 4, jnp.where(mu > 0, _highest(pair), 0))
         bracket = _advance(resumed, pair, STEPS_A_LOOP)
     return bracket.mu / per_square
+
+
+def refined_shift(pair: CanonicalPair, mu: Scalars, steps: int) -> Scalars:
+    """A guess of mu after so many more steps, at most STEPS_A_LOOP."""
+    return _advance(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps).mu
 
 
 def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
@@ -78,7 +84,6 @@ def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
     terms = along_axes(pair, near.n)
     return Trial(
         near=near,
-        norm=shared(jnp.sqrt(dot(near.n, near.n))),
         radius=shared(jnp.sqrt(dot(terms, terms))),
         support=times(pair.R, vector(lambda p: pair.a[p] * terms[p])),
         metric=m,
@@ -91,7 +96,7 @@ def _start(pair: CanonicalPair) -> Bracket:
     at = trial(pair, shape(pair.R, pair.a), zero)
     square = dot(at.near.n, at.near.n)
     mu = at.radius * at.radius * jnp.maximum(at.radius - 1, 0) / _positive(square)
-    high = _highest(pair)
+    high = jnp.where(at.near.q > 1, _highest(pair), zero)
     return Bracket(jnp.minimum(mu, high), zero, high)
 
 
@@ -124,7 +129,7 @@ def _step(bracket: Bracket, pair: CanonicalPair, form: Shape) -> Bracket:
     # Both sides times the slope, so that nothing is compared with a quotient.
     inside = (rise >= (low - mu) * slope) & (rise <= (high - mu) * slope)
     middle = jnp.sqrt(jnp.maximum(low * high, high * high * 1e-12))
-    proposed = mu + rise / jnp.where(inside, slope, 1)
+    proposed = mu + rise / _positive(jnp.where(inside, slope, 1))
     return Bracket(jnp.where(inside, proposed, middle), low, high)
 
 

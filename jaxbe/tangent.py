@@ -1,9 +1,14 @@
-"""Newton's method on the unit sphere, for the depth along a direction.
+"""Newton's method for the depth along a direction.
 
 Along the unit direction n two bodies overlap by f(n) = e.|n| + s(n) - n.k, with
-s = sqrt(n^T S n): moved apart along n by f they touch. f has kinks where an n_i is
-zero. There its derivative in n_i is anything within e_i of g_i = (S n / s - k)_i:
-while |g_i| <= e_i the coordinate is held at zero, else it is released.
+s = sqrt(n^T S n): moved apart along n by f they touch; minus f they are apart. For a
+direction u of any length the depth is f = F(u) / |u|, with the same F, which is
+homogeneous and convex.
+
+The largest component of u is held, and f minimised in the other two. F has kinks where
+a u_i is zero. There its derivative in u_i is anything within e_i of
+g_i = (S u / s - k)_i: while |g_i| <= e_i the coordinate stays at zero, else it is
+released.
 """
 
 from __future__ import annotations
@@ -11,147 +16,222 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
-from jaxbe.components import clip, column, dot, smallest, vector, where
+from jaxbe.components import clip, column, dot, largest, matrix, times, vector, where
 from jaxbe.kept import shared
 from jaxbe.pose import CanonicalPair
-from jaxbe.support import along_axes, extent
-from jaxbe.types import Components, Scalars
+from jaxbe.support import extent
+from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
 LONGEST_STEP = 0.5
+"""In units of the component that is held."""
+
 SHORT_STEP = 0.25
 FLOOR = 1e-4
 """Of the Hessian's smaller eigenvalue, in units of its diagonal."""
 
 
-class Tangent(NamedTuple):
-    """Derivatives of f in the plane orthogonal to n.
+class Chart(NamedTuple):
+    """Which component of u is held, being the largest.
 
     Attributes:
-        first, second: an orthonormal basis, second along a coordinate that is zero.
-        slopes: the derivatives of f along it, zero where a coordinate is held.
-        hessian: h_11, h_12 and h_22; of held coordinates anything harmless.
+        is_first: the component 0; those that vary are 1 and 2.
+        is_last: the component 2; those that vary are 0 and 1. Else 0 and 2 vary.
     """
 
-    first: Components
-    second: Components
+    is_first: Flags
+    is_last: Flags
+
+    def of_vector(self, x: Components) -> tuple[Scalars, Scalars]:
+        """The two components that vary."""
+        return jnp.where(self.is_first, x[1], x[0]), jnp.where(self.is_last, x[1], x[2])
+
+    def of_matrix(self, m: ComponentMatrix) -> Components:
+        """The entries 11, 12 and 22 of a symmetric matrix, in these components."""
+        mixed = jnp.where(self.is_last, m[0][1], m[0][2])
+        return (
+            jnp.where(self.is_first, m[1][1], m[0][0]),
+            jnp.where(self.is_first, m[1][2], mixed),
+            jnp.where(self.is_last, m[1][1], m[2][2]),
+        )
+
+    def move(self, t_1: Scalars, t_2: Scalars) -> Components:
+        """The vector with these two components, and zero for the one that is held."""
+        middle = jnp.where(self.is_first, t_1, jnp.where(self.is_last, t_2, 0))
+        return jnp.where(self.is_first, 0, t_1), middle, jnp.where(self.is_last, 0, t_2)
+
+
+class Tangent(NamedTuple):
+    """Derivatives of f, times |u|, in the two components of u that vary.
+
+    Attributes:
+        F: F(u).
+        chart: which.
+        slopes: the first ones, zero where a coordinate stays at zero.
+        hessian: h_11, h_12 and h_22; of what stays at zero anything harmless.
+    """
+
+    F: Scalars
+    chart: Chart
     slopes: tuple[Scalars, Scalars]
     hessian: Components
 
 
-def depth(pair: CanonicalPair, n: Components) -> Scalars:
-    """f(n), for a unit n; minus the distance where the pair is apart along n."""
-    along = along_axes(pair, n)
-    return extent(n, pair.e) + jnp.sqrt(dot(along, along)) - dot(n, pair.k)
+class Depth(NamedTuple):
+    """The depth along u as a quotient, so that two compare without a division.
+
+    Attributes:
+        F: F(u).
+        length: |u|.
+    """
+
+    F: Scalars
+    length: Scalars
+
+    def is_less(self, other: Depth, allowance: Scalars | float = 0.0) -> Flags:
+        """Whether this depth is below the other, plus an allowance; False for NaN."""
+        most = (other.F + allowance * other.length) * self.length
+        less: Flags = self.F * other.length < most
+        return less
 
 
-def tangent(pair: CanonicalPair, n: Components) -> Tangent:
-    """The derivatives of f at a unit n."""
-    squares = vector(lambda p: pair.a[p] * pair.a[p])
-    along = vector(lambda p: dot(column(pair.R, p), n))
-    weighted = vector(lambda p: squares[p] * along[p])
-    s = shared(jnp.sqrt(dot(weighted, along)))
-    g = vector(lambda i: dot(pair.R[i], weighted) / s - pair.k[i])
-    slope = vector(lambda i: _slope(n[i], g[i], pair.e[i]))
-    f = dot(n, slope)
-    first, second = _basis(n)
-    ends = [vector(lambda p: dot(column(pair.R, p), b)) for b in (first, second)]  # noqa: B023
-    pulls = [shared(dot(weighted, end) / s) for end in ends]
+class Search(NamedTuple):
+    """A pair as the search sees it, in its units.
 
-    def curvature(i: int, j: int) -> Scalars:
-        forms = vector(lambda p: squares[p] * ends[i][p] * ends[j][p])
-        return shared((forms[0] + forms[1] + forms[2] - pulls[i] * pulls[j]) / s)
+    Attributes:
+        k, e: as in `jaxbe.pose`.
+        B: R diag(a): its columns are the semi-axes as vectors.
+        S: B B^T.
+        rounding: of a depth.
+    """
 
-    slopes = dot(first, slope), dot(second, slope)
-    zeros = [x == 0 for x in n]
-    # Zero coordinates are along the second axis first. Held ones have no say, released
-    # ones go down their own slope.
-    one = zeros[0] | zeros[1] | zeros[2]
-    second_held = one & (slopes[1] == 0)
-    two = (zeros[0] & zeros[1]) | (zeros[1] & zeros[2]) | (zeros[2] & zeros[0])
-    first_held = two & (slopes[0] == 0)
-    h_11, h_22 = curvature(0, 0) - f, curvature(1, 1) - f
+    k: Components
+    e: Components
+    B: ComponentMatrix
+    S: ComponentMatrix
+    rounding: Scalars
+
+
+def search(pair: CanonicalPair) -> Search:
+    """Prepares a pair."""
+    B = matrix(lambda i, p: pair.R[i][p] * pair.a[p])
+    S = matrix(lambda i, j: dot(B[min(i, j)], B[max(i, j)]))
+    size = largest(pair.e) + largest(vector(lambda i: abs(pair.k[i]))) + 1
+    eps = float(np.finfo(size.dtype).eps)
+    return Search(pair.k, pair.e, B, S, 4 * eps * size)
+
+
+def depth(pair: Search, u: Components) -> Depth:
+    """F(u) and |u|; minus their quotient is the distance where they are apart."""
+    along = vector(lambda p: dot(column(pair.B, p), u))
+    F = extent(u, pair.e) + jnp.sqrt(dot(along, along)) - dot(u, pair.k)
+    return Depth(shared(F), shared(jnp.sqrt(dot(u, u))))
+
+
+def tangent(pair: Search, u: Components) -> Tangent:
+    """The derivatives of f at u, not zero."""
+    along = vector(lambda p: dot(column(pair.B, p), u))
+    per_s = shared(1 / jnp.sqrt(dot(along, along)))
+    # The ellipsoid's extreme point; not from S, which loses digits.
+    p = times(pair.B, vector(lambda p: along[p] * per_s))
+    slope = vector(lambda i: _slope(u[i], p[i] - pair.k[i], pair.e[i]))
+    F = dot(u, slope)
+    per_square = shared(1 / dot(u, u))
+    phi = F * per_square
+    chart = _chart(u)
+    u_1, u_2 = chart.of_vector(u)
+    p_1, p_2 = chart.of_vector(p)
+    s_1, s_2 = chart.of_vector(slope)
+    S_11, S_12, S_22 = chart.of_matrix(pair.S)
+    d_1, d_2 = s_1 - phi * u_1, s_2 - phi * u_2
+    # At a minimum the slopes vanish; elsewhere their terms keep Newton's step right.
+    w_1, w_2 = u_1 * per_square, u_2 * per_square
+    h_11 = (S_11 - p_1 * p_1) * per_s - phi * (1 - u_1 * w_1) - 2 * d_1 * w_1
+    h_22 = (S_22 - p_2 * p_2) * per_s - phi * (1 - u_2 * w_2) - 2 * d_2 * w_2
+    h_12 = (S_12 - p_1 * p_2) * per_s + phi * u_1 * w_2 - d_1 * w_2 - d_2 * w_1
+    held_1, held_2 = (u_1 == 0) & (d_1 == 0), (u_2 == 0) & (d_2 == 0)
     hessian = (
-        jnp.where(first_held, abs(h_22), h_11),
-        jnp.where(one, 0, curvature(0, 1)),
-        jnp.where(second_held, abs(h_11), h_22),
+        jnp.where(held_1, abs(h_22), h_11),
+        jnp.where(held_1 | held_2, 0, h_12),
+        jnp.where(held_2, abs(h_11), h_22),
     )
-    return Tangent(first, second, slopes, hessian)
+    return Tangent(F, chart, (d_1, d_2), hessian)
 
 
-def improved(
-    pair: CanonicalPair, n: Components, value: Scalars
-) -> tuple[Components, Scalars]:
+def improved(pair: Search, u: Components) -> Components:
     """One step of Newton's method, or the beginning of it, or none: whichever is best.
 
-    The beginning is a quarter, or less where a coordinate reaches zero before.
+    The beginning is a quarter, or less where a coordinate reaches zero before. What
+    would change its sign on the way stops at zero.
 
     Args:
         pair: the bodies.
-        n: a unit direction.
-        value: f(n).
-
-    Returns:
-        The new direction and its f.
+        u: a direction, not zero.
     """
-    at = tangent(pair, n)
-    t_1, t_2 = _newton(at)
-    move = vector(lambda i: at.first[i] * t_1 + at.second[i] * t_2)
-    crossings = vector(lambda i: _crossing(n[i], move[i]))
-    nearest = smallest(crossings)
-    best = n
-    for length in (jnp.ones_like(nearest), jnp.minimum(nearest, SHORT_STEP)):
-        candidate = _moved(n, move, length, crossings)
+    at = tangent(pair, u)
+    t_1, t_2 = _newton(at, u)
+    move = at.chart.move(t_1, t_2)
+    best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
+    # Near the minimum all depths are alike, and Newton's step still gains digits.
+    steps = (1.0, pair.rounding), (_until_first_zero(at.chart, u, t_1, t_2), 0.0)
+    for share, allowance in steps:
+        candidate = _moved(u, move, share)
         there = depth(pair, candidate)
-        best = where(there < value, candidate, best)
-        value = jnp.minimum(value, there)
-    return best, value
+        better = there.is_less(least, allowance)
+        best = where(better, candidate, best)
+        least = Depth(
+            jnp.where(better, there.F, least.F),
+            jnp.where(better, there.length, least.length),
+        )
+    return best
 
 
-def _slope(n_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
-    """The derivative of f in n_i; where n_i is zero, the smallest one."""
-    at_kink = g_i - clip(g_i, -e_i, e_i)
-    return jnp.where(n_i == 0, at_kink, g_i + jnp.sign(n_i) * e_i)
-
-
-def _basis(n: Components) -> tuple[Components, Components]:
-    """A basis of the tangent plane; its second vector is along a coordinate of zero."""
-    size = vector(lambda i: abs(n[i]))
-    is_0 = (size[0] <= size[1]) & (size[0] <= size[2])
-    is_1 = ~is_0 & (size[1] <= size[2])
-    x, y, z = n
-    # n x e_i for the axis i of the smallest component.
-    cross = (
-        jnp.where(is_0, 0, jnp.where(is_1, -z, y)),
-        jnp.where(is_0, z, jnp.where(is_1, 0, -x)),
-        jnp.where(is_0, -y, jnp.where(is_1, x, 0)),
-    )
-    per_length = shared(1 / jnp.sqrt(dot(cross, cross)))
-    first = vector(lambda i: cross[i] * per_length)
-    second = (
-        y * first[2] - z * first[1],
-        z * first[0] - x * first[2],
-        x * first[1] - y * first[0],
-    )
-    return first, second
-
-
-def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> tuple[Scalars, Scalars]:
+def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
     """Minus the inverse Hessian times the slopes; the Hessian lifted to be positive."""
     h_11, h_12, h_22, determinant = _lifted(at.hessian)
     t_1, t_2 = _against(h_11, h_12, h_22, slopes)
     divisor = jnp.where(determinant > 0, determinant, 1)
-    return t_1 / divisor, t_2 / divisor
+    return at.chart.move(t_1 / divisor, t_2 / divisor)
 
 
-def _newton(at: Tangent) -> tuple[Scalars, Scalars]:
-    """The step, no longer than LONGEST_STEP."""
+def _slope(u_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
+    """The derivative of F in u_i; where u_i is zero, the smallest one."""
+    at_kink = g_i - clip(g_i, -e_i, e_i)
+    return jnp.where(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
+
+
+def _chart(u: Components) -> Chart:
+    size = vector(lambda i: abs(u[i]))
+    is_first = (size[0] >= size[1]) & (size[0] >= size[2])
+    return Chart(is_first, ~is_first & (size[2] > size[1]))
+
+
+def _held_size(chart: Chart, u: Components) -> Scalars:
+    held = jnp.where(chart.is_first, u[0], jnp.where(chart.is_last, u[2], u[1]))
+    return abs(held)
+
+
+def _newton(at: Tangent, u: Components) -> tuple[Scalars, Scalars]:
+    """The step, no longer than LONGEST_STEP units.
+
+    A coordinate at zero that it would move against its slope stays there.
+    """
+    unit = _held_size(at.chart, u)
+    u_1, u_2 = at.chart.of_vector(u)
+    s_1, s_2 = at.slopes
     h_11, h_12, h_22, determinant = _lifted(at.hessian)
     t_1, t_2 = _against(h_11, h_12, h_22, at.slopes)
-    length = jnp.sqrt(t_1 * t_1 + t_2 * t_2)
-    divisor = jnp.maximum(determinant, length / LONGEST_STEP)
-    divisor = jnp.where(divisor > 0, divisor, 1)
-    return shared(t_1 / divisor), shared(t_2 / divisor)
+    stays_1 = (u_1 == 0) & (t_1 * s_1 >= 0)
+    stays_2 = (u_2 == 0) & (t_2 * s_2 >= 0)
+    alone = stays_1 | stays_2
+    t_1 = jnp.where(stays_1, 0, jnp.where(alone, -h_22 * s_1, t_1))
+    t_2 = jnp.where(stays_2, 0, jnp.where(alone, -h_11 * s_2, t_2))
+    determinant = jnp.where(alone, h_11 * h_22, determinant)
+    length = jnp.maximum(abs(t_1), abs(t_2))
+    divisor = jnp.maximum(determinant * unit, length / LONGEST_STEP)
+    scale = shared(unit / jnp.where(divisor > 0, divisor, 1))
+    return t_1 * scale, t_2 * scale
 
 
 def _lifted(hessian: Components) -> tuple[Scalars, Scalars, Scalars, Scalars]:
@@ -172,18 +252,24 @@ def _against(
     return h_12 * s_2 - h_22 * s_1, h_12 * s_1 - h_11 * s_2
 
 
-def _crossing(n_i: Scalars, move_i: Scalars) -> Scalars:
-    """At what share of the move a coordinate reaches zero; 2 if it does not."""
-    crosses = n_i * move_i < 0
-    return shared(jnp.where(crosses, -n_i / jnp.where(crosses, move_i, 1), 2))
-
-
-def _moved(
-    n: Components, move: Components, length: Scalars, crossings: Components
-) -> Components:
-    """Moved and normalised; what would change sign stops at zero."""
-    there = vector(
-        lambda i: jnp.where(crossings[i] <= length, 0, n[i] + length * move[i])
+def _moved(u: Components, move: Components, share: Scalars | float) -> Components:
+    """What changes its sign, or ends at zero to rounding, becomes zero."""
+    there = vector(lambda i: u[i] + share * move[i])
+    to_rounding = float(8 * np.finfo(u[0].dtype).eps)
+    return vector(
+        lambda i: jnp.where(u[i] * there[i] < to_rounding * u[i] * u[i], 0, there[i])
     )
-    per_length = shared(1 / jnp.sqrt(dot(there, there)))
-    return vector(lambda i: there[i] * per_length)
+
+
+def _until_first_zero(
+    chart: Chart, u: Components, t_1: Scalars, t_2: Scalars
+) -> Scalars:
+    """The share of the step after which one of the two is zero, or SHORT_STEP."""
+    u_1, u_2 = chart.of_vector(u)
+    left, gone = abs(u_1), jnp.where(u_1 * t_1 < 0, abs(t_1), 0)
+    left_2, gone_2 = abs(u_2), jnp.where(u_2 * t_2 < 0, abs(t_2), 0)
+    # The smaller of the quotients left / gone, by one division.
+    first = left_2 * gone < left * gone_2
+    left, gone = jnp.where(first, left_2, left), jnp.where(first, gone_2, gone)
+    before = left < SHORT_STEP * gone
+    return shared(jnp.where(before, left / jnp.where(before, gone, 1), SHORT_STEP))

@@ -135,7 +135,7 @@ def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
         ValueError: naming the argument, the requirement and the first value
             that breaks it.
     """
-    if not all(map(_is_readable, fields.values())):
+    if not all(map(is_readable, fields.values())):
         return
     values = {name: np.asarray(x) for name, x in fields.items()}
     for rule in value_rules(values, np):
@@ -162,8 +162,11 @@ def _first_broken(argument: str, x: np.ndarray, ok: np.ndarray) -> str:
     return f"{x[batch].tolist()}{place}"
 
 
-def _is_readable(x: jax.Array) -> bool:
-    return not isinstance(x, jax.core.Tracer) and x.is_fully_addressable
+def is_readable(x: Any) -> bool:
+    """Whether the values of an array, of NumPy or JAX, are known and at hand."""
+    if isinstance(x, jax.core.Tracer):
+        return False
+    return not isinstance(x, jax.Array) or x.is_fully_addressable
 
 
 def _check_dtype(kind: str, name: str, x: jax.Array) -> None:

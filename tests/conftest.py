@@ -1,8 +1,11 @@
 """Both float types, with every implicit promotion an error."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+
+import jaxbe
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -12,6 +15,23 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 @pytest.fixture(params=["float32", "float64"])
 def dtype(request):
     return np.dtype(request.param)
+
+
+@pytest.fixture
+def quick_contact(monkeypatch):
+    """Lets the command compute another contact, of the right sign.
+
+    The true one takes ten seconds to compile, for every shape.
+    """
+
+    def contact(box, ellipsoid):
+        ratio = jaxbe.scaled_distance(box, ellipsoid)
+        point = jnp.broadcast_to(ellipsoid.center, (*ratio.shape, 3))
+        up = jnp.broadcast_to(jnp.array([0, 0, 1], ratio.dtype), point.shape)
+        smallest = jnp.broadcast_to(ellipsoid.semi_axes.min(axis=-1), ratio.shape)
+        return jaxbe.Contact((ratio - 1) * smallest, point, up, point, point)
+
+    monkeypatch.setattr("jaxbe.cli.sweep.contact", contact)
 
 
 @pytest.fixture(params=["closest_features", "all_features", "minkowski"])

@@ -11,7 +11,7 @@ import jaxbe
 from benchmarks import scenes
 from jaxbe.distance import MAX_STEPS
 from jaxbe.pose import canonical_pair
-from jaxbe.tangent import depth, improved
+from jaxbe.tangent import depth, improved, search
 from tests import distance_reference as dr
 from tests.margin_reference import KINDS
 
@@ -31,7 +31,7 @@ def apart(n, seed, **options):
     [
         (0.05, 2.0, None, 1e-10, 1e-8),
         (0.001, 1.0, None, 1e-9, 1e-2),
-        pytest.param(0.001, 1.0, 16, 1e-9, 1e-9, marks=pytest.mark.slow),
+        pytest.param(0.001, 1.0, 4, 1e-12, 1e-11, marks=pytest.mark.slow),
     ],
 )
 def test_distance_apart(low, high, steps, at_999, at_most):
@@ -80,9 +80,14 @@ def least_depths():
     """Overlapping pairs, and the least depth of many descents from anywhere."""
     scene = dr.random_overlapping(1500, 63)
     pair = jax.jit(canonical_pair)(*scene.bodies())
-    descend = jax.jit(lambda n: functools.reduce(
-        lambda at, _: improved(pair, *at), range(5), (n, depth(pair, n))
-    )[1] / pair.per_unit)  # fmt: skip
+
+    @jax.jit
+    def descend(u):
+        for _ in range(7):
+            u = improved(search(pair), u)
+        F, length = depth(search(pair), u)
+        return F / length / pair.per_unit
+
     rng = np.random.default_rng(64)
     least = np.full(scene.size, np.inf)
     for _ in range(300):
@@ -92,15 +97,17 @@ def least_depths():
     return scene, np.minimum(least, -dr.found(scene).distance)
 
 
-def test_depth_is_the_least_but_seldom():
+@pytest.mark.parametrize(
+    ("steps", "at_999", "at_most"), [(None, 1.32, 1.5), (5, 1.12, 1.38)]
+)
+def test_depth_is_the_least_but_seldom(steps, at_999, at_most):
     scene, least = least_depths()
-    ratio = -dr.found(scene).distance / least
+    ratio = -dr.found(scene, steps).distance / least
     growth = 1 + np.asarray(jax.jit(jaxbe.margin)(*scene.bodies()))
-    print(np.percentile(ratio, [50, 95, 98, 99, 99.9, 100]))
     assert np.median(ratio) <= 1.0005
     assert np.percentile(ratio, 99) <= 1 + 1e-6
-    assert np.percentile(ratio, 99.9) <= 1.04
-    assert np.max(ratio) <= 1.2
+    assert np.percentile(ratio, 99.9) <= at_999
+    assert np.max(ratio) <= at_most
     assert np.percentile(ratio[growth > 0.9], 95) <= 1 + 1e-9
 
 

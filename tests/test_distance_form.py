@@ -3,10 +3,12 @@
 import functools
 
 import jax
+import numpy as np
 import pytest
 
 import jaxbe
 from benchmarks import scenes
+from jaxbe import Box, Ellipsoid
 from jaxbe.distance import MAX_STEPS
 from tests import programs
 from tests.test_margin_form import LARGEST
@@ -16,12 +18,28 @@ pytestmark = pytest.mark.bulk
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
 @pytest.mark.parametrize(
-    "steps", [1, 8, pytest.param(MAX_STEPS, marks=pytest.mark.slow)]
+    "steps", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, MAX_STEPS))]
 )
 def test_no_loop_is_too_large(steps, dtype):
     bodies = scenes.random(1000).astype(dtype).bodies()
     function = jax.vmap(functools.partial(jaxbe.contact, steps=steps))
     assert programs.largest_expression(function, *bodies) <= LARGEST
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
+@pytest.mark.parametrize("batch", ["broadcast", "vmap"])
+def test_nor_where_poses_share_their_lengths(batch):
+    """As `jaxbe.mjx.gather` gives them: one set of lengths for all states."""
+    pairs = scenes.random(8 * 16).astype(np.float32)
+    C, U, K, V = (x.reshape(8, 16, *x.shape[1:]) for x in (*pairs[:2], *pairs[3:5]))
+    e, a = pairs.e[:16], pairs.a[:16]
+
+    def distance(C, U, K, V):
+        box, ellipsoid = Box.unchecked(C, U, e), Ellipsoid.unchecked(K, V, a)
+        return jaxbe.signed_distance(box, ellipsoid)
+
+    function = jax.vmap(distance) if batch == "vmap" else distance
+    assert programs.largest_expression(function, C, U, K, V) <= LARGEST
 
 
 @pytest.mark.parametrize("query", [jaxbe.contact, jaxbe.distance_bounds])

@@ -3,7 +3,7 @@
 import numpy as np
 
 import jaxbe
-from jaxbe.kept import kept, kept_from, kept_pair, shared
+from jaxbe.kept import kept, kept_direction, kept_from, kept_pair, shared
 
 
 def test_values_and_nan(dtype):
@@ -17,6 +17,23 @@ def test_values_and_nan(dtype):
         np.testing.assert_array_equal(function(x, given), x)
         assert np.all(np.isnan(function(x, given * np.nan)))
     np.testing.assert_array_equal(shared(x + given), x + given)
+
+
+def test_direction(dtype):
+    """Divided by its largest component; zeros and signs to the bit."""
+    u = np.random.default_rng(0).normal(size=(3, 3000)).astype(dtype)
+    u[:, :3], u[:, 3:6] = np.eye(3), -np.eye(3)
+    u[0, 6:50], u[1, 30:80] = 0, 0
+    u[:, 80:100] *= np.array([[1], [1e-8], [3]], dtype)
+    u[:, 100:110] *= np.array([[-1], [0], [1e-15]], dtype)
+    found = np.array(kept_direction(tuple(u), u[0]))
+    expected = u / abs(u).max(axis=0)
+    np.testing.assert_allclose(found, expected, rtol=2 * np.finfo(dtype).eps, atol=1e-9)
+    kept_exactly = abs(expected) > 1e-8
+    assert np.all(np.signbit(found)[kept_exactly] == np.signbit(u)[kept_exactly])
+    assert np.all(found[u == 0] == 0)
+    u[1, 5] = np.nan
+    assert np.isnan(np.array(kept_direction(tuple(u), u[0]))[:, 5]).any()
 
 
 def test_an_infinity_leaves_its_partner_alone(dtype):

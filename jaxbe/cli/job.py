@@ -60,8 +60,9 @@ def _examine(model: Any, pairs: Pairs, states: States, options: Options) -> Repo
     data = mujoco.MjData(model)
     batch = options.batch or batch_size(len(pairs), model.ngeom)
     sample = Sample(options.sample, options.seed)
-    sweep = Sweep(model, pairs, options.dtype, min(batch, states.total), sample)
     with _progress(states.total, shown=not options.json) as advance:
+        # Compiles, for some ten seconds.
+        sweep = Sweep(model, pairs, options.dtype, min(batch, states.total), sample)
         for done in sweep.run(data, states):
             advance(done)
     return Report(
@@ -82,6 +83,10 @@ def _draw(model: Any, result: Report, options: Options) -> picture.Picture:
         qpos=deepest.qpos.tolist(),
         overlapping=geom[deepest.overlapping].tolist(),
         focus=geom[deepest.pair].tolist(),
+        distance=float(deepest.contact.distance),
+        normal=deepest.contact.normal.tolist(),
+        on_ellipsoid=deepest.contact.on_ellipsoid.tolist(),
+        on_box=deepest.contact.on_box.tolist(),
     )
     return picture.draw(model, view, options.picture)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -10,7 +11,17 @@ import textwrap
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from jaxbe.cli.errors import InputError
+
+Color = tuple[float, float, float, float]
+Point = NDArray[np.float64]
+
+ON_ELLIPSOID_COLOR = (0.5, 0.0, 0.0, 1.0)
+ON_BOX_COLOR = (0.0, 0.1, 0.6, 1.0)
+NORMAL_COLOR = (1.0, 0.9, 0.1, 1.0)
 
 RENDER_SECONDS = 120
 """A rendering that takes longer is given up."""
@@ -27,12 +38,35 @@ class View(NamedTuple):
         qpos: the state.
         overlapping: geom ids [ellipsoid, box] of the pairs that overlap.
         focus: those of the pair to look at.
+        distance: of this pair, metres; NaN, as what follows, if it is not known.
+        normal: unit, from its ellipsoid to its box, world frame.
+        on_ellipsoid: its witness point there, world frame, metres.
+        on_box: its witness point there.
     """
 
     scene: str
     qpos: list[float]
     overlapping: list[list[int]]
     focus: list[int]
+    distance: float
+    normal: list[float]
+    on_ellipsoid: list[float]
+    on_box: list[float]
+
+    def has_contact(self) -> bool:
+        """Whether distance, normal and points are known."""
+        numbers = self.distance, *self.normal, *self.on_ellipsoid, *self.on_box
+        return all(map(math.isfinite, numbers))
+
+    def caption(self) -> str:
+        """The distance, in words."""
+        return f"distance {1000 * self.distance:.3g} mm"
+
+    def arrow(self, beyond: float) -> tuple[Point, Point]:
+        """Start and end of an arrow along the normal, so far beyond both points."""
+        middle = np.add(self.on_ellipsoid, self.on_box) / 2
+        half = (abs(self.distance) / 2 + beyond) * np.array(self.normal)
+        return middle - half, middle + half
 
     def pairs(self) -> list[list[int]]:
         """The pairs to colour strongly."""

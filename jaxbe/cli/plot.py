@@ -12,15 +12,22 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from jaxbe.cli.picture import View
+from jaxbe.cli.picture import (
+    NORMAL_COLOR,
+    ON_BOX_COLOR,
+    ON_ELLIPSOID_COLOR,
+    View,
+)
 from jaxbe.mjx.pairs import BOX, ELLIPSOID
 
-ELLIPSOID_COLOR = (1.0, 0.25, 0.10, 1.0)
+ELLIPSOID_COLOR = (1.0, 0.25, 0.10, 0.6)
 BOX_COLOR = (0.10, 0.45, 1.0, 0.5)
 REST_COLOR = (0.6, 0.63, 0.65, 0.15)
 
+NORMAL_BEYOND = 0.1
+"""How far the normal goes beyond the points, by the extent of what is plotted."""
+
 Points = NDArray[np.float64]
-Color = tuple[float, float, float, float]
 
 
 def plot(model: Any, view: View, path: Path) -> None:
@@ -42,6 +49,8 @@ def plot(model: Any, view: View, path: Path) -> None:
         axes = figure.add_subplot(1, 2, i + 1, projection="3d")
         axes.set_title(title)
         _add_geoms(axes, model, data, geoms, view.highlighted())
+    if view.has_contact():
+        _add_contact(axes, view)
     figure.savefig(path, format="png")
 
 
@@ -69,6 +78,24 @@ def _add_geoms(
         Poly3DCollection(together, facecolors=colors, linewidths=0, shade=True)
     )
     _set_limits(axes, together.reshape(-1, 3))
+
+
+def _add_contact(axes: Any, view: View) -> None:
+    """Draws witness points and normal over everything, and says what they are."""
+    axes.computed_zorder = False
+    for name, point, color in (
+        ("on the ellipsoid", view.on_ellipsoid, ON_ELLIPSOID_COLOR),
+        ("on the box", view.on_box, ON_BOX_COLOR),
+    ):
+        style = {"color": color, "mec": "white", "ms": 8, "ls": "none"}
+        axes.plot(*np.array([point]).T, marker="o", label=name, zorder=12, **style)
+    limits = axes.get_xlim(), axes.get_ylim(), axes.get_zlim()
+    start, end = view.arrow(NORMAL_BEYOND * float(np.ptp(limits, axis=1).max()))
+    arrow = *start, *(end - start)
+    rim, fill = {"color": "black", "lw": 5}, {"color": NORMAL_COLOR, "lw": 3}
+    axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, **rim)
+    axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, label="normal", **fill)
+    axes.legend(title=view.caption(), loc="upper left")
 
 
 def box_faces(half_extents: Points, cells: int) -> Points:

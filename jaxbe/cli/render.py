@@ -18,21 +18,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxbe.cli.picture import View
+from jaxbe.cli.markers import add_caption, add_markers
+from jaxbe.cli.picture import Color, Point, View
 
 SIDE = 720
 """Of each view, pixels."""
 
-ELLIPSOID_COLOR = (1.0, 0.25, 0.10, 1.0)
-BOX_COLOR = (0.10, 0.45, 1.0, 0.55)
-REST_ALPHA = 0.15
+ELLIPSOID_COLOR = (1.0, 0.25, 0.10)
+BOX_COLOR = (0.10, 0.45, 1.0)
+SEE_THROUGH, INSIDE_SEEN = 0.55, 0.3
+REST_ALPHA = 0.1
 
 DIRECTIONS = tuple(itertools.product(range(0, 360, 30), (-15, -40)))
 """Azimuths and elevations to choose from for the close view, degrees."""
 
 Image = NDArray[np.uint8]
-Point = NDArray[np.float64]
-Color = tuple[float, float, float, float]
+Direction = tuple[float, float]
 
 
 def main() -> None:
@@ -50,14 +51,13 @@ def render(view: View) -> Image:
     model.vis.global_.offwidth = model.vis.global_.offheight = SIDE
     # Collision geoms are often in a group that is not shown.
     model.geom_group[list(view.highlighted())] = 0
-    point = _meeting_point(model, data, view.focus)
+    point = _meeting_point(data, view)
     _remove_floor_above(model, data, point)
     renderer = mujoco.Renderer(model, SIDE, SIDE)
     try:
         _update(renderer, data, _whole_camera(model, point), _colors(view.pairs()), 1)
         whole = np.array(renderer.render())
-        _update_close(renderer, data, _close_camera(renderer, data, view, point), view)
-        close = np.array(renderer.render())
+        close = _close(renderer, data, _close_camera(renderer, data, view, point), view)
     finally:
         renderer.close()
     return np.concatenate([whole, close], axis=1)
@@ -81,13 +81,11 @@ def png(image: Image) -> bytes:
     )
 
 
-def _meeting_point(model: Any, data: Any, focus: list[int]) -> Point:
-    """Half way between the ellipsoid's centre and the nearest point of the box."""
-    ellipsoid, box = focus
-    k = _in_box_frame(data, box, data.geom_xpos[ellipsoid])
-    nearest = np.clip(k, -model.geom_size[box], model.geom_size[box])
-    axes = data.geom_xmat[box].reshape(3, 3)
-    return np.asarray(data.geom_xpos[box] + axes @ (nearest + k) / 2)
+def _meeting_point(data: Any, view: View) -> Point:
+    """Half way between the witness points, or the geoms if these are not known."""
+    if view.has_contact():
+        return np.add(view.on_ellipsoid, view.on_box) / 2
+    return np.asarray(data.geom_xpos[view.focus].mean(axis=0))
 
 
 def _remove_floor_above(model: Any, data: Any, point: Point) -> None:
@@ -113,49 +111,90 @@ def _whole_camera(model: Any, point: Point) -> Any:
 
 
 def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
-    """A camera on the pair in focus, from where both geoms are seen best."""
+    """A camera on the pair in focus, from where geoms and normal are seen best."""
     ellipsoid, box = view.focus
     model = renderer.model
     camera = mujoco.MjvCamera()
     camera.lookat[:] = point
-    away = 8 * min(model.geom_rbound[ellipsoid], model.geom_rbound[box])
+    size = min(model.geom_rbound[ellipsoid], model.geom_rbound[box])
+    away = max(6 * size, 3 * abs(np.nan_to_num(view.distance)))
 
-    def aim(direction: tuple[int, int]) -> None:
+    def aim(direction: Direction) -> None:
         camera.azimuth, camera.elevation = direction
-        camera.distance = away + _depth_in_box(model, data, box, point, direction)
+        depth = max(_depth(data, geom, point, direction) for geom in view.focus)
+        camera.distance = away + depth
 
-    def visible(direction: tuple[int, int]) -> float:
+    def visible(direction: Direction) -> float:
         aim(direction)
         _update_close(renderer, data, camera, view)
-        renderer.enable_segmentation_rendering()
-        ids = renderer.render()[..., 0]
-        renderer.disable_segmentation_rendering()
-        return float((np.sum(ids == ellipsoid) + 1) * (np.sum(ids == box) + 1))
+        ids = _segments(renderer)
+        sideways = np.linalg.norm(np.cross(_forward(direction), view.normal))
+        areas = (np.sum(ids == ellipsoid) + 1) * (np.sum(ids == box) + 1)
+        return float(areas * (sideways if view.has_contact() else 1))
 
     aim(max(DIRECTIONS, key=visible))
     return camera
 
 
-def _depth_in_box(
-    model: Any, data: Any, box: int, point: Point, direction: tuple[int, int]
-) -> float:
-    """How far it is from a point in the box to its surface, towards the camera."""
+def _forward(direction: Direction) -> Point:
+    """Where a camera looks, a unit vector."""
     azimuth, elevation = np.radians(direction)
     level = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
-    ray = -np.cos(elevation) * data.geom_xmat[box].reshape(3, 3).T @ level
-    p = _in_box_frame(data, box, point)
-    with np.errstate(divide="ignore"):
-        exits = (model.geom_size[box] - np.sign(ray) * p) / abs(ray)
-    return max(0.0, float(exits.min()))
+    return np.asarray(np.cos(elevation) * level)
+
+
+def _segments(renderer: Any) -> NDArray[np.int32]:
+    """The number of the object at every pixel, -1 where there is none."""
+    renderer.enable_segmentation_rendering()
+    ids = np.array(renderer.render()[..., 0])
+    renderer.disable_segmentation_rendering()
+    return ids
+
+
+def _depth(data: Any, geom: int, point: Point, direction: Direction) -> float:
+    """How far it is from a point in a geom to its surface, towards the camera."""
+    model = data.model
+    length = mujoco.mju_rayGeom(
+        data.geom_xpos[geom],
+        data.geom_xmat[geom],
+        model.geom_size[geom],
+        point,
+        -_forward(direction),
+        model.geom_type[geom],
+    )
+    return max(0.0, float(length))
+
+
+def _close(renderer: Any, data: Any, camera: Any, view: View) -> Image:
+    """The pair in focus; its witness points and normal over it, hidden by nothing."""
+    _update_close(renderer, data, camera, view)
+    scene = renderer.scene
+    # Translucent geoms would throw shadows too.
+    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+    if not view.has_contact():
+        return np.array(renderer.render())
+    x, y, _ = _forward((camera.azimuth, camera.elevation))
+    add_caption(scene, view, camera.distance, right=np.array([y, -x, 0]))
+    image = np.array(renderer.render())
+    scene.ngeom = 0
+    add_markers(scene, view, camera.distance)
+    add_caption(scene, view, camera.distance, right=np.array([y, -x, 0]))
+    marked = _segments(renderer)[..., None] >= 0
+    return np.where(marked, np.array(renderer.render()), image)
 
 
 def _colors(pairs: list[list[int]]) -> dict[int, Color]:
-    ellipsoids = {ellipsoid: ELLIPSOID_COLOR for ellipsoid, _ in pairs}
-    return ellipsoids | {box: BOX_COLOR for _, box in pairs}
+    ellipsoids = {ellipsoid: (*ELLIPSOID_COLOR, 1.0) for ellipsoid, _ in pairs}
+    return ellipsoids | {box: (*BOX_COLOR, SEE_THROUGH) for _, box in pairs}
 
 
 def _update_close(renderer: Any, data: Any, camera: Any, view: View) -> None:
-    _update(renderer, data, camera, _colors([view.focus]), REST_ALPHA)
+    """The larger one is translucent: the other may be inside."""
+    size = renderer.model.geom_rbound
+    ellipsoid, box = view.focus
+    alphas = (1.0, INSIDE_SEEN) if size[box] > size[ellipsoid] else (INSIDE_SEEN, 1.0)
+    colors = {ellipsoid: (*ELLIPSOID_COLOR, alphas[0]), box: (*BOX_COLOR, alphas[1])}
+    _update(renderer, data, camera, colors, REST_ALPHA)
 
 
 def _update(

@@ -15,10 +15,11 @@ from rich.console import Console
 from rich.table import Table
 
 import jaxbe
+from jaxbe.cli.agreement import Agreement, Conflict
 from jaxbe.cli.arguments import Options
 from jaxbe.cli.crosscheck import Crosscheck, Disagreement
 from jaxbe.cli.picture import Picture
-from jaxbe.cli.sweep import Conflict, Sweep
+from jaxbe.cli.sweep import Sweep
 
 LISTED = 10
 """How many disagreements are printed; `--json` has all."""
@@ -44,7 +45,10 @@ class Report:
 
     def agree(self) -> bool:
         """Whether nothing differs beyond the tolerances."""
-        return not (self.sweep.totals.conflicting or self.crosscheck.disagreements)
+        totals = self.sweep.totals
+        within = totals.methods, totals.certificates, totals.signs
+        conflicting = any(agreement.conflicting for agreement in within)
+        return not (conflicting or self.crosscheck.disagreements)
 
     def compared(self) -> int:
         """How many pairs in states each test answered."""
@@ -88,17 +92,11 @@ def as_object(report: Report, options: Options) -> dict[str, Any]:
         "states_overlapping": totals.states_overlapping,
         "pairs": [_pair_object(report, i) for i in range(len(report.sweep.pairs.geom))],
         "methods": {m: _method_object(report, m) for m in jaxbe.METHODS},
-        "seconds": {
-            "kinematics": totals.kinematics_seconds,
-            "gather": totals.gather_seconds,
-            "total": report.seconds,
-        },
-        "between_methods": {
-            "compared": report.compared(),
-            "differing": totals.differing,
-            "beyond_rounding": totals.conflicting,
-            "examples": [c._asdict() for c in totals.conflicts],
-        },
+        "seconds": _besides(totals.seconds) | {"total": report.seconds},
+        "compile_seconds": _besides(report.sweep.tests.compile_seconds),
+        "between_methods": totals.methods.as_object(),
+        "certificates": _verdicts(report) | totals.certificates.as_object(),
+        "distance_signs": totals.signs.as_object(),
         "mujoco": check._asdict()
         | {"disagreements": [d._asdict() for d in check.disagreements]},
         "deepest": _deepest_object(report),
@@ -143,14 +141,28 @@ def _pair_object(report: Report, pair: int) -> dict[str, Any]:
         "box": box,
         "geom": results.geom[pair].tolist(),
         "overlapping": int(results.overlapping[pair]),
+        "proved_overlapping": int(results.proved_overlapping[pair]),
+        "proved_separated": int(results.proved_separated[pair]),
+        "undecided": int(results.undecided[pair]),
+        "smallest_distance": float(results.smallest_distance[pair]),
         "smallest_scaled_distance": float(results.smallest_scaled_distance[pair]),
         "smallest_margin": float(results.smallest_margin[pair]),
         "mean_margin": float(results.mean_margin()[pair]),
     }
 
 
+def _verdicts(report: Report) -> dict[str, int]:
+    """How many pairs in states have each certified verdict."""
+    results = report.sweep.pairs
+    return {
+        "overlapping": int(results.proved_overlapping.sum()),
+        "separated": int(results.proved_separated.sum()),
+        "undecided": int(results.undecided.sum()),
+    }
+
+
 def _method_object(report: Report, method: str) -> dict[str, Any]:
-    seconds = report.sweep.totals.test_seconds[method]
+    seconds = report.sweep.totals.seconds[method]
     return {
         "overlapping": report.sweep.totals.overlapping[method],
         "compile_seconds": report.sweep.tests.compile_seconds[method],
@@ -159,10 +171,17 @@ def _method_object(report: Report, method: str) -> dict[str, Any]:
     }
 
 
+def _besides(seconds: dict[str, float]) -> dict[str, float]:
+    """Those that are not of a method."""
+    return {name: x for name, x in seconds.items() if name not in jaxbe.METHODS}
+
+
 def _deepest_object(report: Report) -> dict[str, Any]:
     deepest = report.sweep.deepest
+    contact = {name: x.tolist() for name, x in deepest.contact._asdict().items()}
     return deepest._asdict() | {
         "qpos": deepest.qpos.tolist(),
+        "contact": contact,
         "overlapping": np.flatnonzero(deepest.overlapping).tolist(),
     }
 
@@ -182,15 +201,25 @@ def _heading(report: Report, options: Options) -> list[str]:
 
 def _pair_table(report: Report, rows: int) -> Table:
     results, states = report.sweep.pairs, report.sweep.totals.states
-    table = Table("ellipsoid", "box", box=None)
-    table.add_column("states overlapping", justify="right")
-    table.add_column("smallest margin", justify="right")
-    table.add_column("mean margin", justify="right")
+    table = Table(box=None)
+    for heading in ("ellipsoid", "box"):
+        table.add_column(heading, overflow="fold")
+    for heading in (
+        "states\noverlapping",
+        "certified\n+/-/?",
+        "smallest\ndistance (m)",
+        "smallest\nmargin",
+        "mean\nmargin",
+    ):
+        table.add_column(heading, justify="right", no_wrap=True)
     for pair in _most_overlapping(report)[:rows]:
         count = results.overlapping[pair]
         table.add_row(
             *report.names(pair),
             f"{count:,} ({count / states:.1%})",
+            f"{results.proved_overlapping[pair]}/{results.proved_separated[pair]}/"
+            f"{results.undecided[pair]}",
+            f"{results.smallest_distance[pair]:.3g}",
             f"{results.smallest_margin[pair]:.3f}",
             f"{results.mean_margin()[pair]:.3f}",
         )
@@ -236,21 +265,27 @@ def _method_table(report: Report) -> Table:
 
 
 def _times(report: Report) -> list[str]:
-    totals = report.sweep.totals
+    totals, compiled = report.sweep.totals, report.sweep.tests.compile_seconds
+    seconds = {name: f"{x:.2f} s" for name, x in totals.seconds.items()}
     return [
-        f"besides: forward kinematics in C {totals.kinematics_seconds:.2f} s, "
-        f"gathering {totals.gather_seconds:.2f} s; {report.seconds:.1f} s in all",
+        f"besides: forward kinematics in C {seconds['kinematics']}, gathering "
+        f"{seconds['gather']}, distances {seconds['contact']} "
+        f"(compile {compiled['contact']:.1f} s), certificates {seconds['certify']} "
+        f"(compile {compiled['certify']:.1f} s); {report.seconds:.1f} s in all",
         "",
     ]
 
 
 def _agreement(report: Report) -> list[str]:
     totals, check = report.sweep.totals, report.crosscheck
+    verdicts = _verdicts(report)
     return [
-        f"between the three tests: {totals.conflicting} disagreements on "
-        f"{report.compared():,} pairs in states"
-        + _within(totals.differing - totals.conflicting, "rounding"),
-        *(_conflict_line(report, c) for c in totals.conflicts[:LISTED]),
+        f"certified: {verdicts['overlapping']:,} overlapping (+), "
+        f"{verdicts['separated']:,} separated (-), {verdicts['undecided']:,} undecided "
+        "(?) pairs in states",
+        *_agreement_lines(report, "between the three tests", totals.methods),
+        *_agreement_lines(report, "certificates with the tests", totals.certificates),
+        *_agreement_lines(report, "distance's sign with the tests", totals.signs),
         f"with MuJoCo C: {len(check.disagreements)} disagreements on a sample of "
         f"{check.checked:,}, {check.overlapping:,} of them overlapping"
         + _within(check.differing - len(check.disagreements), "tolerance"),
@@ -259,6 +294,15 @@ def _agreement(report: Report) -> list[str]:
         f"{check.largest_rounding:.1e} m)",
         *(_disagreement_line(report, d) for d in check.disagreements[:LISTED]),
         "",
+    ]
+
+
+def _agreement_lines(report: Report, what: str, agreement: Agreement) -> list[str]:
+    return [
+        f"{what}: {agreement.conflicting} disagreements on "
+        f"{agreement.compared:,} pairs in states"
+        + _within(agreement.differing - agreement.conflicting, "rounding"),
+        *(_conflict_line(report, c) for c in agreement.conflicts[:LISTED]),
     ]
 
 
@@ -293,6 +337,7 @@ def _deepest(report: Report) -> list[str]:
     )
     lines = [
         f"{what}: state {deepest.state}, {_between(report, deepest.pair)}, "
+        f"distance {1000 * deepest.contact.distance:.3g} mm, "
         f"margin {deepest.margin:.3f} (0 touches, -1 is the deepest)"
     ]
     if report.picture is not None:

@@ -1,4 +1,4 @@
-"""The three tests on all pairs in all states, a batch at a time."""
+"""The tests, distances and certificates of all pairs in all states, by batches."""
 
 from __future__ import annotations
 
@@ -10,21 +10,30 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
-from jaxbe import METHODS, Box, Ellipsoid, margin, overlap, scaled_distance
+from jaxbe import (
+    METHODS,
+    Box,
+    Contact,
+    Ellipsoid,
+    certify,
+    contact,
+    margin,
+    overlap,
+    scaled_distance,
+)
+from jaxbe.cli.agreement import Agreement, Flags
+from jaxbe.cli.pair_results import Integers, PairResults
 from jaxbe.cli.rounding import ratio_rounding
 from jaxbe.cli.sample import Sample
 from jaxbe.cli.states import Floats, Poses, States, forward_kinematics
 from jaxbe.mjx import Pairs, gather
 
 PAIRS_PER_BATCH = 250_000
-"""Pairs and states at a time unless the user says otherwise: some 50 MB."""
+"""Pairs and states at a time unless the user says otherwise: some 100 MB."""
 
-EXAMPLES = 100
-"""So many disagreements between the tests are kept one by one."""
-
-Flags = NDArray[np.bool_]
+_NOWHERE: Any = np.full(3, np.nan)
+NO_CONTACT = Contact(_NOWHERE[0], _NOWHERE, _NOWHERE, _NOWHERE, _NOWHERE)
 
 
 class Tests(NamedTuple):
@@ -32,44 +41,17 @@ class Tests(NamedTuple):
 
     Attributes:
         gather: from poses to boxes and ellipsoids.
-        overlap: the test of each method.
+        timed: the test of each method, "contact" and "certify" (its verdict).
         scaled_distance: for the comparisons, not timed.
         margin: for the report, not timed.
-        compile_seconds: of the test of each method.
+        compile_seconds: of those timed.
     """
 
     gather: Callable[[Poses], tuple[Box, Ellipsoid]]
-    overlap: dict[str, Callable[[Box, Ellipsoid], jax.Array]]
+    timed: dict[str, Callable[[Box, Ellipsoid], Any]]
     scaled_distance: Callable[[Box, Ellipsoid], jax.Array]
     margin: Callable[[Box, Ellipsoid], jax.Array]
     compile_seconds: dict[str, float]
-
-
-@dataclasses.dataclass
-class PairResults:
-    """What is known of each pair: one entry a pair, a column of the report each.
-
-    Attributes:
-        geom: (P, 2) geom ids, [ellipsoid, box].
-        overlapping: (P,) in how many states the pair overlaps.
-        smallest_scaled_distance: (P,) over the states.
-        smallest_margin: (P,) over the states.
-        margin_sum: (P,) over the states whose margin is known.
-        margins: (P,) how many these are.
-    """
-
-    geom: NDArray[np.integer[Any]]
-    overlapping: NDArray[np.int64]
-    smallest_scaled_distance: Floats
-    smallest_margin: Floats
-    margin_sum: Floats
-    margins: NDArray[np.int64]
-
-    def mean_margin(self) -> Floats:
-        """(P,) over the states; NaN for a pair whose margin is nowhere known."""
-        return np.where(
-            self.margins > 0, self.margin_sum / np.maximum(self.margins, 1), np.nan
-        )
 
 
 class Deepest(NamedTuple):
@@ -80,6 +62,7 @@ class Deepest(NamedTuple):
         qpos: (nq,).
         pair: the pair with the smallest margin.
         margin: of that pair.
+        contact: of that pair.
         overlapping: (P,) which pairs overlap.
     """
 
@@ -87,16 +70,8 @@ class Deepest(NamedTuple):
     qpos: Floats
     pair: int
     margin: float
+    contact: Contact
     overlapping: Flags
-
-
-class Conflict(NamedTuple):
-    """A pair in a state on which the three tests differ beyond rounding."""
-
-    state: int
-    pair: int
-    scaled_distance: float
-    answers: dict[str, bool]
 
 
 @dataclasses.dataclass
@@ -107,12 +82,11 @@ class Totals:
         states: how many there were.
         states_overlapping: in how many of them some pair overlaps.
         overlapping: how many pairs in states overlap, by each method.
-        differing: on how many the three tests differ at all.
-        conflicting: on how many of them beyond rounding.
-        conflicts: the first of these.
-        kinematics_seconds: forward kinematics, with drawing or reading states.
-        gather_seconds: from poses to boxes and ellipsoids.
-        test_seconds: of each method, on the device.
+        methods: agreement of the three tests.
+        certificates: of the certified verdicts with the tests.
+        signs: of the signed distance's sign with the tests.
+        seconds: of each program, on the device, and of the forward kinematics,
+            with drawing or reading states.
     """
 
     states: int = 0
@@ -120,13 +94,13 @@ class Totals:
     overlapping: dict[str, int] = dataclasses.field(
         default_factory=lambda: dict.fromkeys(METHODS, 0)
     )
-    differing: int = 0
-    conflicting: int = 0
-    conflicts: list[Conflict] = dataclasses.field(default_factory=list)
-    kinematics_seconds: float = 0.0
-    gather_seconds: float = 0.0
-    test_seconds: dict[str, float] = dataclasses.field(
-        default_factory=lambda: dict.fromkeys(METHODS, 0.0)
+    methods: Agreement = dataclasses.field(default_factory=Agreement)
+    certificates: Agreement = dataclasses.field(default_factory=Agreement)
+    signs: Agreement = dataclasses.field(default_factory=Agreement)
+    seconds: dict[str, float] = dataclasses.field(
+        default_factory=lambda: dict.fromkeys(
+            ("kinematics", "gather", *METHODS, "contact", "certify"), 0.0
+        )
     )
 
 
@@ -137,6 +111,8 @@ class Batch(NamedTuple):
         start: the number of the first state.
         qpos: (n, nq).
         overlapping: (n, P) by each method.
+        contact: of n times P pairs.
+        verdict: (n, P), that of `certify`.
         ratio: (n, P), `scaled_distance`.
         margin: (n, P).
     """
@@ -144,6 +120,8 @@ class Batch(NamedTuple):
     start: int
     qpos: Floats
     overlapping: dict[str, Flags]
+    contact: Contact
+    verdict: Integers
     ratio: Floats
     margin: Floats
 
@@ -164,15 +142,10 @@ class Sweep:
         self, model: Any, pairs: Pairs, dtype: str, batch: int, sample: Sample
     ) -> None:
         self.totals = Totals()
-        self.pairs = PairResults(
-            pairs.geom,
-            np.zeros(len(pairs), np.int64),
-            np.full(len(pairs), np.inf),
-            np.full(len(pairs), np.inf),
-            np.zeros(len(pairs)),
-            np.zeros(len(pairs), np.int64),
+        self.pairs = PairResults.of_no_states(pairs.geom)
+        self.deepest = Deepest(
+            0, model.qpos0, 0, np.inf, NO_CONTACT, np.zeros(len(pairs), bool)
         )
-        self.deepest = Deepest(0, model.qpos0, 0, np.inf, np.zeros(len(pairs), bool))
         self.sample = sample
         self._batch = batch
         self._model = model
@@ -196,23 +169,28 @@ class Sweep:
             began = time.perf_counter()
             qpos = states.rows(start, stop)
             forward_kinematics(self._model, data, qpos, self._poses)
-            self.totals.kinematics_seconds += time.perf_counter() - began
+            self.totals.seconds["kinematics"] += time.perf_counter() - began
             self._add(self._test(start, qpos))
             yield stop
 
     def _test(self, start: int, qpos: Floats) -> Batch:
         """Tests the poses; leaves out the padding behind the last state."""
-        n = len(qpos)
-        (box, ellipsoid), seconds = _timed(self.tests.gather, self._poses)
-        self.totals.gather_seconds += seconds
-        overlapping = {}
-        for method, test in self.tests.overlap.items():
-            answer, seconds = _timed(test, box, ellipsoid)
-            self.totals.test_seconds[method] += seconds
-            overlapping[method] = np.asarray(answer)[:n]
-        ratio = np.asarray(self.tests.scaled_distance(box, ellipsoid))[:n]
-        margins = np.asarray(self.tests.margin(box, ellipsoid))[:n]
-        return Batch(start, qpos, overlapping, ratio, margins)
+        bodies = self._timed("gather", self.tests.gather, self._poses)
+        answers = {
+            name: self._timed(name, program, *bodies)
+            for name, program in self.tests.timed.items()
+        }
+        answers["ratio"] = self.tests.scaled_distance(*bodies)
+        answers["margin"] = self.tests.margin(*bodies)
+        answers = jax.tree.map(lambda x: np.asarray(x)[: len(qpos)], answers)
+        overlapping: dict[str, Flags] = {m: answers.pop(m) for m in METHODS}
+        verdict = answers.pop("certify")
+        return Batch(start, qpos, overlapping, verdict=verdict, **answers)
+
+    def _timed(self, name: str, program: Callable[..., Any], *arguments: Any) -> Any:
+        result, seconds = _timed(program, *arguments)
+        self.totals.seconds[name] += seconds
+        return result
 
     def _add(self, batch: Batch) -> None:
         overlapping = batch.overlapping[METHODS[0]]
@@ -220,33 +198,36 @@ class Sweep:
         self.totals.states_overlapping += int(overlapping.any(axis=1).sum())
         for method, answers in batch.overlapping.items():
             self.totals.overlapping[method] += int(answers.sum())
-        self.pairs.overlapping += overlapping.sum(axis=0)
-        nearest = np.fmin.reduce(batch.ratio, axis=0)
-        smallest = self.pairs.smallest_scaled_distance
-        self.pairs.smallest_scaled_distance = np.fmin(smallest, nearest)
-        self._add_margins(batch.margin)
+        self.pairs.add(
+            overlapping,
+            batch.verdict,
+            batch.ratio,
+            np.asarray(batch.contact.distance),
+            batch.margin,
+        )
         self._compare(batch)
         self._keep_deepest(batch)
         self.sample.add(batch.start, batch.qpos, overlapping, batch.ratio)
 
-    def _add_margins(self, margins: Floats) -> None:
-        pairs = self.pairs
-        pairs.smallest_margin = np.fmin(pairs.smallest_margin, np.fmin.reduce(margins))
-        pairs.margin_sum += np.nansum(margins, axis=0, dtype=np.float64)
-        pairs.margins += np.count_nonzero(~np.isnan(margins), axis=0)
-
     def _compare(self, batch: Batch) -> None:
-        answers = np.stack(list(batch.overlapping.values()))
-        differ = (answers != answers[0]).any(axis=0)
-        self.totals.differing += int(differ.sum())
-        beyond = differ & ~(abs(batch.ratio - 1) <= self._rounding)
-        self.totals.conflicting += int(beyond.sum())
-        room = EXAMPLES - len(self.totals.conflicts)
-        for row, pair in np.argwhere(beyond)[:room].tolist():
-            by_method = {m: bool(x[row, pair]) for m, x in batch.overlapping.items()}
-            ratio = float(batch.ratio[row, pair])
-            conflict = Conflict(batch.start + row, pair, ratio, by_method)
-            self.totals.conflicts.append(conflict)
+        """A pair that no test could decide counts as overlapping: no statement."""
+        tests, ratio = batch.overlapping, batch.ratio
+        verdict, distance = batch.verdict, np.asarray(batch.contact.distance)
+        stated = ~np.isnan(ratio)
+        for agreement, also, known in (
+            (self.totals.methods, {}, np.True_),
+            (
+                self.totals.certificates,
+                {"certificate": verdict > 0},
+                stated & (verdict != 0),
+            ),
+            (
+                self.totals.signs,
+                {"signed_distance": distance <= 0},
+                stated & ~np.isnan(distance),
+            ),
+        ):
+            agreement.add(batch.start, tests | also, known, ratio, self._rounding)
 
     def _keep_deepest(self, batch: Batch) -> None:
         known = np.where(np.isnan(batch.margin), np.inf, batch.margin)
@@ -258,6 +239,7 @@ class Sweep:
                 batch.qpos[row],
                 int(pair),
                 deepest,
+                Contact(*(x[row, pair] for x in batch.contact)),
                 batch.overlapping[METHODS[0]][row],
             )
 
@@ -282,19 +264,26 @@ def compile_tests(pairs: Pairs, model: Any, poses: Poses) -> Tests:
     def gather_pairs(poses: Poses) -> tuple[Box, Ellipsoid]:
         return gather(pairs, model, poses)
 
+    def verdict(box: Box, ellipsoid: Ellipsoid) -> jax.Array:
+        return certify(box, ellipsoid).verdict
+
     gathering = jax.jit(gather_pairs).lower(poses).compile()
     bodies = gathering(poses)
+    programs: dict[str, Callable[[Box, Ellipsoid], Any]] = {
+        **{method: functools.partial(overlap, method=method) for method in METHODS},
+        "contact": contact,
+        "certify": verdict,
+    }
     seconds: dict[str, float] = {}
-    tests: dict[str, Callable[[Box, Ellipsoid], jax.Array]] = {}
-    for method in METHODS:
-        test = jax.jit(functools.partial(overlap, method=method))
+    for name, program in programs.items():
+        lowered = jax.jit(program).lower
         began = time.perf_counter()
-        tests[method] = test.lower(*bodies).compile()
-        seconds[method] = time.perf_counter() - began
-        _timed(tests[method], *bodies)  # The first call also loads the program.
-    distance = jax.jit(scaled_distance).lower(*bodies).compile()
+        programs[name] = lowered(*bodies).compile()
+        seconds[name] = time.perf_counter() - began
+        _timed(programs[name], *bodies)  # The first call also loads the program.
+    ratio = jax.jit(scaled_distance).lower(*bodies).compile()
     margins = jax.jit(margin).lower(*bodies).compile()
-    return Tests(gathering, tests, distance, margins, seconds)
+    return Tests(gathering, programs, ratio, margins, seconds)
 
 
 def _timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:

@@ -10,14 +10,17 @@ from jaxbe.mjx.collision import (
     disable_collision,
     enable_collision,
 )
+from jaxbe.mjx.filter import Candidates, filter_contacts
 from jaxbe.mjx.gather import gather
 from jaxbe.mjx.pairs import Pairs, find_pairs
 
 __all__ = [
+    "Candidates",
     "Pairs",
     "collision_enabled",
     "disable_collision",
     "enable_collision",
+    "filter_contacts",
     "find_pairs",
     "gather",
 ]

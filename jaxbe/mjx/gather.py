@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jaxbe.mjx.pairs import Pairs
+from jaxbe.components import with_rank
+from jaxbe.mjx.poses import geom_poses
 from jaxbe.shapes import Box, Ellipsoid
 
 
-def gather(pairs: Pairs, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
+class HasGeoms(Protocol):
+    """Pairs, or candidates: `geom` (..., 2) holds geom ids, [ellipsoid, box]."""
+
+    @property
+    def geom(self) -> Any: ...
+
+
+def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
     """Gathers the bodies of each pair, in metres and the world frame.
 
     Values are not read, so NaN poses pass: works under `jit`, `vmap` and `grad`.
 
     Args:
-        pairs: from `find_pairs`, of the same model.
+        pairs: from `find_pairs`, of the same model; or what `filter_contacts` left of
+            them, for the same batch of states.
         model: has `geom_size` (..., ngeom, 3), MuJoCo's half extents of boxes and
             semi-axes of ellipsoids: a `mujoco.MjModel`, an `mjx.Model` or a Brax
             system, also with batch axes (domain randomisation).
         data: has `geom_xpos` (..., ngeom, 3) and `geom_xmat` (..., ngeom, 3, 3)
             or (..., ngeom, 9): an `mjx.Data`, a `mujoco.MjData`, a Brax pipeline
-            state of the MJX backend, also with batch axes.
+            state, also with batch axes. States of Brax's other pipelines have `x`
+            instead, the poses of the bodies; the model's `geom_pos`, `geom_quat` and
+            `geom_bodyid` are read then.
 
     Returns:
         A box and an ellipsoid with batch axes (..., P), all of the dtype of the
@@ -33,30 +45,43 @@ def gather(pairs: Pairs, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
         TypeError: poses that are not float32 or float64.
         ValueError: shapes that do not fit together, or pairs of a larger model.
     """
-    position = jnp.asarray(data.geom_xpos)
-    axes = jnp.asarray(data.geom_xmat).reshape(*position.shape[:-1], 3, 3)
+    geom = pairs.geom
+    return bodies(geom[..., 0], geom[..., 1], model, data)
+
+
+def bodies(ellipsoid: Any, box: Any, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
+    """The bodies of geom ids, arrays of any shape: static, or one a state of data."""
+    position, axes = geom_poses(model, data)
     size = jnp.asarray(model.geom_size, position.dtype)
-    _check_same_model(pairs, position, size)
-    ellipsoid, box = pairs.geom[:, 0], pairs.geom[:, 1]
-    return (
-        Box.unchecked(position[..., box, :], axes[..., box, :, :], size[..., box, :]),
-        Ellipsoid.unchecked(
-            position[..., ellipsoid, :],
-            axes[..., ellipsoid, :, :],
-            size[..., ellipsoid, :],
-        ),
-    )
+    _check_same_model((ellipsoid, box), position, size)
+    flat = axes.reshape(*axes.shape[:-2], 9)
+
+    def fields(ids: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        turned = _rows(flat, ids)
+        turned = turned.reshape(*turned.shape[:-1], 3, 3)
+        return _rows(position, ids), turned, _rows(size, ids)
+
+    return Box.unchecked(*fields(box)), Ellipsoid.unchecked(*fields(ellipsoid))
 
 
-def _check_same_model(pairs: Pairs, position: jax.Array, size: jax.Array) -> None:
+def _rows(x: jax.Array, ids: Any) -> jax.Array:
+    """The rows (..., P, n) of x (..., ngeom, n) with these ids (..., P)."""
+    if ids.ndim == 1 or isinstance(ids, np.ndarray):
+        return x[..., ids, :]
+    rank = max(ids.ndim + 1, x.ndim)
+    return jnp.take_along_axis(with_rank(x, rank), with_rank(ids[..., None], rank), -2)
+
+
+def _check_same_model(ids: Any, position: jax.Array, size: jax.Array) -> None:
     """JAX would clamp an index that is out of range and answer for another geom."""
     if position.shape[-2] != size.shape[-2]:
         raise ValueError(
             f"model and data must have the same geoms, got {size.shape[-2]} in "
             f"geom_size and {position.shape[-2]} in geom_xpos"
         )
-    if len(pairs) and pairs.geom.max() >= size.shape[-2]:
+    static = [x.max(initial=-1) for x in ids if isinstance(x, np.ndarray)]
+    if max(static, default=-1) >= size.shape[-2]:
         raise ValueError(
-            f"pairs name geom {pairs.geom.max()}, the model has {size.shape[-2]} "
+            f"pairs name geom {max(static)}, the model has {size.shape[-2]} "
             "geoms: find them in this model"
         )

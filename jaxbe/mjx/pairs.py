@@ -26,43 +26,60 @@ class Pairs:
     Attributes:
         geom: (P, 2) geom ids in MJX's order, [ellipsoid, box]. Read-only, sorted
             by ellipsoid, then box; no pair twice.
+        explicit: (n, 2), for each `<pair>` element of the model that names one of
+            them: the pair's row in `geom`, and the element's id. Read-only.
     """
 
     geom: Ids
+    explicit: Ids = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
 
     def __post_init__(self) -> None:
         self.geom.flags.writeable = False
+        self.explicit.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.geom)
 
 
-def find_pairs(model: Any, geoms: Iterable[str | int] | None = None) -> Pairs:
+def find_pairs(
+    model: Any,
+    geoms: Iterable[str | int] | None = None,
+    *,
+    only_enabled: bool = False,
+) -> Pairs:
     """Finds the ellipsoid-box pairs that a model lets collide.
 
     The rules are MuJoCo's, as MJX applies them: contype and conaffinity,
     `<exclude>`, bodies welded together, parent and child (unless the model
     disables that filter), and `<pair>`, which overrules all of them. As in MJX
-    the flags that disable contacts or constraints do not matter: they are about
-    the simulation, not about the geometry.
+    the flags that disable contacts or constraints do not matter unless asked for:
+    they are about the simulation, not about the geometry.
 
     Args:
         model: a `mujoco.MjModel` or an `mjx.Model`.
         geoms: names or ids of geoms of any type; keeps the pairs in which at
             least one of them takes part. All pairs if None.
+        only_enabled: find no pairs in a model that disables contacts or constraints.
 
     Raises:
         TypeError: `geoms` is one string instead of several.
         ValueError: `geoms` has a name or an id that the model has not.
     """
+    if only_enabled and _is_disabled(model, "CONTACT", "CONSTRAINT"):
+        return Pairs(np.zeros((0, 2), int))
     types = np.asarray(model.geom_type)
     ellipsoid, box = np.flatnonzero(types == ELLIPSOID), np.flatnonzero(types == BOX)
     allowed = np.argwhere(_may_collide(model, ellipsoid[:, None], box[None, :]))
     by_filters = np.stack([ellipsoid[allowed[:, 0]], box[allowed[:, 1]]], axis=1)
-    pairs = np.unique(np.concatenate([by_filters, _explicit(model)]), axis=0)
-    if geoms is not None:
-        pairs = pairs[np.isin(pairs, _geom_ids(model, geoms)).any(axis=1)]
-    return Pairs(pairs)
+    elements, ids = _explicit(model)
+    pairs, rows = np.unique(
+        np.concatenate([by_filters, elements]), axis=0, return_inverse=True
+    )
+    rows = rows.reshape(-1)[len(by_filters) :]
+    chosen = range(model.ngeom) if geoms is None else _geom_ids(model, geoms)
+    wanted = np.asarray(np.isin(pairs, chosen).any(axis=1))
+    explicit = np.stack([np.cumsum(wanted)[rows] - 1, ids], axis=1)
+    return Pairs(pairs[wanted], explicit[wanted[rows]])
 
 
 def geom_names(model: Any) -> list[str]:
@@ -84,7 +101,7 @@ def _bodies_may_collide(model: Any, body1: Ids, body2: Ids) -> Mask:
     # Bodies welded together move as one and have the id of the topmost.
     weld1, weld2 = model.body_weldid[body1], model.body_weldid[body2]
     ok = (weld1 != weld2) & ~_is_excluded(model, body1, body2)
-    if _parent_filter_is_off(model):
+    if _is_disabled(model, "FILTERPARENT"):
         return np.asarray(ok)
     parent1 = model.body_weldid[model.body_parentid[weld1]]
     parent2 = model.body_weldid[model.body_parentid[weld2]]
@@ -94,12 +111,13 @@ def _bodies_may_collide(model: Any, body1: Ids, body2: Ids) -> Mask:
     return np.asarray(ok & (touches_world | ~is_family))
 
 
-def _parent_filter_is_off(model: Any) -> bool:
-    # Where there is a model there is MuJoCo; and the bit has moved between versions.
+def _is_disabled(model: Any, *flags: str) -> bool:
+    """Whether the model disables one of these."""
+    # Where there is a model there is MuJoCo; and bits have moved between versions.
     import mujoco
 
-    bit = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    return bool(int(model.opt.disableflags) & bit)
+    bits = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")) for flag in flags)
+    return any(int(model.opt.disableflags) & bit for bit in bits)
 
 
 def _is_excluded(model: Any, body1: Ids, body2: Ids) -> Mask:
@@ -108,12 +126,13 @@ def _is_excluded(model: Any, body1: Ids, body2: Ids) -> Mask:
     return np.asarray(np.isin((low << 16) + high, model.exclude_signature))
 
 
-def _explicit(model: Any) -> Ids:
-    """The `<pair>` elements of one ellipsoid and one box, (n, 2) geom ids."""
+def _explicit(model: Any) -> tuple[Ids, Ids]:
+    """The `<pair>` elements of an ellipsoid and a box: (n, 2) geom ids, (n,) theirs."""
     pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1).astype(np.int64)
     types = np.asarray(model.geom_type)[pairs]
     pairs = np.take_along_axis(pairs, np.argsort(types, axis=1), axis=1)
-    return np.asarray(pairs[(np.sort(types, axis=1) == (ELLIPSOID, BOX)).all(axis=1)])
+    ids = np.flatnonzero((np.sort(types, axis=1) == (ELLIPSOID, BOX)).all(axis=1))
+    return pairs[ids], ids
 
 
 def _geom_ids(model: Any, geoms: Iterable[str | int]) -> list[int]:

@@ -1,0 +1,142 @@
+"""Which pairs may touch? The nearest ones, certified and of a fixed number."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxbe.components import with_rank
+from jaxbe.lower_bound import MAX_STEPS
+from jaxbe.mjx.bounds import pair_distances
+from jaxbe.mjx.margins import contact_distance
+from jaxbe.mjx.pairs import Pairs
+from jaxbe.types import ArrayLike, Flags, Scalars
+from jaxbe.validate import as_count
+
+DEFAULT_STEPS = 1
+
+
+class Candidates(NamedTuple):
+    """The pairs that a filter kept, nearest first.
+
+    Attributes:
+        geom: (..., max_pairs, 2) geom ids, [ellipsoid, box]. Where not `valid` they are
+            those of a pair that was not kept, so that gathering its bodies is safe;
+            -1 only in a model without pairs.
+        distance: (..., max_pairs) metres: a certified lower bound of the signed
+            distance, rounding included. NaN for poses that are NaN, which come first;
+            infinity where not `valid`.
+        valid: (..., max_pairs), which entries are filled.
+        overflow: (...), how many of the pairs to keep had no place left.
+    """
+
+    geom: jax.Array
+    distance: Scalars
+    valid: Flags
+    overflow: jax.Array
+
+
+def filter_contacts(
+    pairs: Pairs,
+    model: Any,
+    data: Any,
+    *,
+    distance: ArrayLike = None,
+    max_pairs: int | None = None,
+    steps: int = DEFAULT_STEPS,
+    mask: ArrayLike = None,
+) -> Candidates:
+    """Keeps every pair that is nearer than a distance, and few others.
+
+    A pair is dropped only if a direction proves, rounding included, that the very
+    poses and sizes given are further apart (see `jaxbe.lower_bound`), whatever the
+    dtype and however far the axes have drifted from orthonormal. A pair that cannot be
+    decided, because a number is NaN or infinite, is kept.
+
+    Args:
+        pairs: from `find_pairs`, of the same model.
+        model: as for `gather`; without `distance` it has the geoms' margins too.
+            Ellipsoids whose semi-axes are equal take a shorter way if the sizes are
+            known when this is traced: not batched, nor arguments of `jit`.
+        data: as for `gather`.
+        distance: metres, a number or an array that broadcasts to (..., P). By default
+            that at which MuJoCo's C engine makes a contact: margin plus gap of the
+            `<pair>`, else of both geoms. Up to 3.12, where the larger of two margins
+            counted and not their sum, that is more than needed.
+        max_pairs: how many candidates to return; all pairs if None.
+        steps: 0 to 4, evaluations of the kernel. 0 keeps a quarter more than it must
+            of random pairs, 1 next to none that are not nearer than the distance or a
+            few per cent of their size, and more is of use at large distances only.
+        mask: bools that broadcast to (..., P), in the order of `pairs`: False drops a
+            pair, for obstacles that come and go.
+
+    Returns:
+        Candidates, with the batch axes of the poses and sizes. Derivatives of
+        `distance` are those of the distance along the direction found.
+
+    Raises:
+        TypeError: poses that are not float32 or float64, a mask that is not of bools,
+            `steps` or `max_pairs` that are not Python integers.
+        ValueError: shapes that do not fit together, counts out of range, pairs of a
+            larger model.
+    """
+    steps = as_count("steps", steps, 0, MAX_STEPS)
+    bound = contact_distance(pairs, model) if distance is None else distance
+    found = pair_distances(pairs, model, data, steps)
+    kept = ~(found > _rounded_up("distance", bound, found))
+    if mask is not None:
+        kept = kept & _as_mask(mask, found)
+    count = len(pairs) if max_pairs is None else max_pairs
+    return _nearest(pairs, found, kept, as_count("max_pairs", count, 0, 1 << 30))
+
+
+def _rounded_up(name: str, given: ArrayLike, found: Scalars) -> Scalars:
+    """The bound in the dtype of what was found, enlarged by its own rounding."""
+    bound = _broadcast(name, jnp.asarray(given, found.dtype), found)
+    return bound + 4 * float(np.finfo(found.dtype).eps) * abs(bound)
+
+
+def _as_mask(given: ArrayLike, found: Scalars) -> Flags:
+    mask = jnp.asarray(given)
+    if mask.dtype != bool:
+        raise TypeError(f"mask must be of bools, got {mask.dtype}")
+    return _broadcast("mask", mask, found)
+
+
+def _broadcast(name: str, x: jax.Array, found: Scalars) -> jax.Array:
+    """With as many axes as (..., P) has."""
+    try:
+        if np.broadcast_shapes(x.shape, found.shape) == found.shape:
+            return with_rank(x, found.ndim)
+    except ValueError:
+        pass
+    raise ValueError(
+        f"{name} must broadcast to {found.shape}, the batch axes and the pairs, "
+        f"got {x.shape}"
+    )
+
+
+def _nearest(pairs: Pairs, found: Scalars, kept: Flags, count: int) -> Candidates:
+    """The nearest of those kept, in a fixed number of places."""
+    # One more than wanted: for all there are XLA sorts, which on a CPU takes twice as
+    # long as choosing.
+    missing = max(0, count + 1 - len(pairs))
+    last = pairs.geom[-1:] if len(pairs) else np.full((1, 2), -1)
+    geom = np.concatenate([pairs.geom, np.repeat(last, missing, axis=0)])
+    places = [(0, 0)] * (found.ndim - 1) + [(0, missing)]
+    found, kept = jnp.pad(found, places), jnp.pad(kept, places)
+    # What cannot be decided comes first: it may be the nearest.
+    order = jnp.where(jnp.isnan(found), -jnp.inf, lax.stop_gradient(found))
+    _, index = lax.top_k(jnp.where(kept, -order, -jnp.inf), count)
+    valid = jnp.take_along_axis(kept, index, axis=-1)
+    distance = jnp.take_along_axis(found, index, axis=-1)
+    return Candidates(
+        geom=jnp.asarray(geom)[index],
+        distance=jnp.where(valid, distance, jnp.inf),
+        valid=valid,
+        overflow=jnp.maximum(jnp.sum(kept, axis=-1, dtype=jnp.int32) - count, 0),
+    )

@@ -1,0 +1,47 @@
+"""The poses of a model's geoms in some state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxbe.components import dot, matrix, split_matrix, split_vector, stack, vector
+from jaxbe.shapes import rotation_matrix
+from jaxbe.types import Matrices, Vectors
+
+
+def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
+    """The geoms' positions (..., ngeom, 3) and axes (..., ngeom, 3, 3), in columns.
+
+    Args:
+        model: as for `jaxbe.mjx.gather`.
+        data: has `geom_xpos` and `geom_xmat`, or else Brax's `x`, the poses of all
+            bodies but the world.
+    """
+    if not hasattr(data, "geom_xpos"):
+        return _from_links(model, data.x)
+    position = jnp.asarray(data.geom_xpos)
+    return position, jnp.asarray(data.geom_xmat).reshape(*position.shape[:-1], 3, 3)
+
+
+def _from_links(model: Any, x: Any) -> tuple[Vectors, Matrices]:
+    """Body frame times geom frame, written out: no matrix unit of lower precision."""
+    rank = x.pos.ndim - 1
+    position = _of_bodies(x.pos, [0, 0, 0])[..., model.geom_bodyid, :]
+    wxyz = _of_bodies(x.rot, [1, 0, 0, 0])[..., model.geom_bodyid, :]
+    dtype = position.dtype
+    body = split_matrix(rotation_matrix(wxyz), rank)
+    geom = split_matrix(rotation_matrix(jnp.asarray(model.geom_quat, dtype)), rank)
+    offset = split_vector(jnp.asarray(model.geom_pos, dtype), rank)
+    axes = matrix(lambda i, j: dot(body[i], vector(lambda l: geom[l][j])))
+    moved = stack(vector(lambda i: position[..., i] + dot(body[i], offset)))
+    return moved, jnp.stack([stack(row) for row in axes], axis=-2)
+
+
+def _of_bodies(links: jax.Array, world: list[int]) -> jax.Array:
+    """The world's own entry before those of the links."""
+    shape = (*links.shape[:-2], 1, links.shape[-1])
+    first = jnp.broadcast_to(jnp.asarray(world, links.dtype), shape)
+    return jnp.concatenate([first, links], axis=-2)

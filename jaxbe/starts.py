@@ -1,0 +1,108 @@
+"""Where the search for the best direction begins.
+
+f (see `jaxbe.tangent`) has one minimum where the bodies are apart, and several where
+they overlap. The search begins at seven directions: 0, where the two nearest points,
+or the first contact of the bodies as they grow, point; 1 to 3, the face normals of the
+box; 4 to 6, the axes of the ellipsoid.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxbe.components import column, dot, is_zero, vector, where
+from jaxbe.growth import growth_estimate
+from jaxbe.kept import kept_direction, kept_from, shared
+from jaxbe.kernel import nearest
+from jaxbe.metric import inflated, metric_of, shape
+from jaxbe.pose import CanonicalPair, in_other_units
+from jaxbe.separation import shift
+from jaxbe.support import extent
+from jaxbe.types import Components, Scalars
+
+GROWTH_STEPS = 1
+"""Enough for a start."""
+
+TRIED = 3
+"""Of the starts 1 to 6, so many are followed."""
+
+
+def first_start(pair: CanonicalPair, steps: int) -> Components:
+    """Start 0, of any length."""
+    given = pair.k[0]
+    mu = kept_from(shift(pair, steps), given)
+    there = in_other_units(pair, 4)
+    alpha = growth_estimate(there, GROWTH_STEPS)
+    # One of the two at a time: mu is zero where they overlap.
+    alpha = jnp.where(mu > 0, 1, jnp.minimum(alpha, 1))
+    return kept_direction(_direction(there, alpha, 16 * mu), given)
+
+
+def other_starts(pair: CanonicalPair) -> Components:
+    """The numbers of the three best of the starts 1 to 6, the best one first."""
+    values = [*_depths_of_faces(pair), *_depths_of_axes(pair)]
+    numbers = []
+    for _ in range(TRIED):
+        number, least = jnp.ones_like(values[0]), values[0]
+        for i, value in enumerate(values[1:], start=2):
+            number = jnp.where(value < least, i, number)
+            least = jnp.minimum(value, least)
+        values = [
+            jnp.where(number == i, jnp.inf, v) for i, v in enumerate(values, start=1)
+        ]
+        numbers.append(number)
+    # One number, because a loop has one result.
+    return _digits(kept_from(numbers[0] + 8 * numbers[1] + 64 * numbers[2], pair.k[0]))
+
+
+def every_other_start(pair: CanonicalPair) -> list[Components]:
+    """The starts 1 to 6."""
+    return [*(_face(pair, i) for i in range(3)), *(_axis(pair, p) for p in range(3))]
+
+
+def numbered_start(pair: CanonicalPair, number: Scalars) -> Components:
+    """One of the starts 1 to 6."""
+    u, *others = every_other_start(pair)
+    for i, other in enumerate(others, start=2):
+        u = where(number == i, other, u)
+    return u
+
+
+def _direction(pair: CanonicalPair, alpha: Scalars, mu: Scalars) -> Components:
+    """The multipliers of the box scaled by alpha and the ellipsoid swollen by mu."""
+    m = metric_of(inflated(shape(pair.R, pair.a), mu), shared)
+    n = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m).n
+    return where(is_zero(n), _face(pair, 0), n)
+
+
+def _face(pair: CanonicalPair, i: int) -> Components:
+    """The face normal i of the box, towards the ellipsoid."""
+    sign = jnp.where(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype)
+    return vector(lambda j: sign if j == i else jnp.zeros_like(sign))
+
+
+def _axis(pair: CanonicalPair, p: int) -> Components:
+    """The axis p of the ellipsoid, away from the box."""
+    axis = column(pair.R, p)
+    back = dot(axis, pair.k) < 0
+    return vector(lambda i: jnp.where(back, -axis[i], axis[i]))
+
+
+def _depths_of_faces(pair: CanonicalPair) -> Components:
+    S = shape(pair.R, pair.a).S
+    return vector(lambda i: pair.e[i] + jnp.sqrt(S[i][i]) - abs(pair.k[i]))
+
+
+def _depths_of_axes(pair: CanonicalPair) -> Components:
+    def depth(p: int) -> Scalars:
+        axis = column(pair.R, p)
+        return extent(axis, pair.e) + pair.a[p] - abs(dot(axis, pair.k))
+
+    return vector(depth)
+
+
+def _digits(x: Scalars) -> Components:
+    """In base 8, the last one first."""
+    highest = jnp.floor(x / 64)
+    middle = jnp.floor((x - 64 * highest) / 8)
+    return x - 64 * highest - 8 * middle, middle, highest
