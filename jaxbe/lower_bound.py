@@ -25,8 +25,9 @@ and to first order, the sums by their absolute values, each against |w|:
     |w|, quotient:   2.5 + 2 of all these
 
 so at most 13 u (|K - C| + sum e + |a|). `ROUNDINGS` is more than twice that, for
-processors that divide and take roots less exactly than IEEE says. Lengths are in the
-pair's units, in which what underflows is far below this.
+processors that divide and take roots less exactly than IEEE says, and for a number of
+this dtype that the bound is compared with: no distance is more than |K - C|. Lengths
+are in the pair's units, in which what underflows is far below this.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from jaxbe.types import ArrayLike, Flags, Scalars
 from jaxbe.validate import as_count
 
 DEFAULT_STEPS = 1
+MAX_PAIRS = 1 << 24
 
 
 class Candidates(NamedTuple):
@@ -85,19 +86,16 @@ def filter_contacts(
             larger model.
     """
     steps = as_count("steps", steps, 0, MAX_STEPS)
+    count = len(pairs)
+    if max_pairs is not None:
+        count = as_count("max_pairs", max_pairs, 1, MAX_PAIRS)
     bound = contact_distance(pairs, model) if distance is None else distance
     found = pair_distances(pairs, model, data, steps)
-    kept = ~(found > _rounded_up("distance", bound, found))
+    bound = _broadcast("distance", jnp.asarray(bound, found.dtype), found)
+    kept = ~(found > bound)
     if mask is not None:
         kept = kept & _as_mask(mask, found)
-    count = len(pairs) if max_pairs is None else max_pairs
-    return _nearest(pairs, found, kept, as_count("max_pairs", count, 0, 1 << 30))
-
-
-def _rounded_up(name: str, given: ArrayLike, found: Scalars) -> Scalars:
-    """The bound in the dtype of what was found, enlarged by its own rounding."""
-    bound = _broadcast(name, jnp.asarray(given, found.dtype), found)
-    return bound + 4 * float(np.finfo(found.dtype).eps) * abs(bound)
+    return _nearest(pairs, found, kept, count)
 
 
 def _as_mask(given: ArrayLike, found: Scalars) -> Flags:
