@@ -193,6 +193,63 @@ def test_the_flags_of_the_simulation_do_not_matter(flag):
     assert len(find_pairs(model)) == 1
 
 
+@pytest.mark.parametrize("flag", ["contact", "constraint"])
+def test_a_model_that_disables_contacts_has_no_pairs_if_asked(flag):
+    model = two_bodies(option=f'<flag {flag}="disable"/>')
+    pairs = find_pairs(model, only_enabled=True)
+    assert pairs.geom.shape == (0, 2)
+    assert pairs.explicit.shape == (0, 2)
+    on_device = mjx.put_model(with_spheres_for_ellipsoids(model))
+    assert on_device.opt.disableflags == model.opt.disableflags
+    assert len(find_pairs(on_device, only_enabled=True)) == 0
+
+
+def with_spheres_for_ellipsoids(model):
+    """What MJX loads."""
+    model.geom_type[model.geom_type == ELLIPSOID] = mujoco.mjtGeom.mjGEOM_SPHERE
+    return model
+
+
+@pytest.mark.parametrize("option", ["", '<flag gravity="disable" limit="disable"/>'])
+def test_other_flags_leave_the_pairs(option):
+    assert len(find_pairs(two_bodies(option=option), only_enabled=True)) == 1
+
+
+def test_contacts_and_flags_agree_with_mujoco_c():
+    """There are pairs where MuJoCo makes contacts, and none where it makes none."""
+    for flag in ("contact", "constraint", "gravity"):
+        model = two_bodies(option=f'<flag {flag}="disable"/>')
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert len(find_pairs(model, only_enabled=True)) == min(data.ncon, 1)
+
+
+def test_explicit_pairs_are_listed_with_their_elements():
+    """Twice in the model, among elements of other kinds; restricted with them."""
+    model = model_of("""
+    <mujoco><worldbody>
+      <body><freejoint/><geom name="e" type="ellipsoid" size="1 1 1"/></body>
+      <body><freejoint/><geom name="b" type="box" size="1 1 1"/></body>
+      <body><freejoint/><geom name="c" type="box" size="1 1 1"/></body>
+      <body><freejoint/><geom name="s" type="sphere" size="1"/></body>
+    </worldbody><contact><pair geom1="s" geom2="e"/><pair geom1="c" geom2="e"/>
+      <pair geom1="e" geom2="c"/></contact></mujoco>""")
+    pairs = find_pairs(model)
+    assert as_list(pairs) == [(0, 1), (0, 2)]
+    for row, element in pairs.explicit:
+        named = {int(model.pair_geom1[element]), int(model.pair_geom2[element])}
+        assert named == set(pairs.geom[row].tolist())
+    rows, elements = pairs.explicit.T
+    assert rows.tolist() == [1, 1]
+    assert len(set(elements.tolist())) == 2
+    of_one = find_pairs(model, ["c"]).explicit
+    assert of_one[:, 0].tolist() == [0, 0]
+    assert of_one[:, 1].tolist() == elements.tolist()
+    assert find_pairs(model, ["b"]).explicit.shape == (0, 2)
+    with pytest.raises(ValueError, match="read-only"):
+        pairs.explicit[0, 0] = 7
+
+
 @pytest.fixture
 def three_boxes():
     bodies = "".join(
