@@ -2,10 +2,10 @@
 
     python examples/reach_ppo.py  # or reach_gradient.py: this file is imported, not run
 
-Two slides and a wrist carry a palm and two fingers. The target lies behind a gap between
-two boxes: the hand has to turn on its way, and there is little room. The smallest margin
-of all ellipsoid-box pairs says how near it is to touching: below zero the episode ends,
-and the reward falls off before that.
+Two slides and a wrist carry a palm and two fingers. The target lies behind a gap
+between two boxes, and the hand has to turn to get through. The smallest margin of all
+ellipsoid-box pairs says how near it is to touching: below zero the episode ends, and
+the reward falls off before that.
 
 The dynamics have no contacts and no joint limits: an episode ends where a contact would
 begin, so there is none to simulate, and a step without the solver is cheap and can be

@@ -1,4 +1,4 @@
-"""python examples/reach_gradient.py --output reach-gradient.png  (--quick: 40 iterations).
+"""python examples/reach_gradient.py --output reach-gradient.png  (--quick: shorter).
 
 Gradients through the dynamics of `reach_env.Reach`: the forces of one episode are
 optimised with optax, without and with the clearance, a penalty on the margins of all

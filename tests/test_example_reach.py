@@ -1,4 +1,4 @@
-"""The example environment: steps, ends, under Brax's wrappers, and in both trainings."""
+"""The example environment: alone, under Brax's wrappers, and in both trainings."""
 
 import functools
 
