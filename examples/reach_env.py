@@ -54,7 +54,7 @@ SCENE = """
 </mujoco>
 """
 
-START, SPREAD = (-0.45, 0.3, 1.3), (0.05, 0.05, 0.2)
+START, SPREAD = (-0.45, 0.1, 1.3), (0.05, 0.25, 0.2)
 """Slides (m) and wrist (rad) at the start of an episode, and how far they vary."""
 
 TARGET, TARGET_SPREAD = (0.3, 0.0), 0.03

@@ -17,8 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from reach_env import START, TARGET, Reach
+from reach_env import TARGET, Reach
 from reach_picture import draw_scene, sweep
+
+START = (-0.45, 0.3, 1.3)
+"""Slides (m) and wrist (rad)."""
 
 WANTED = 0.1
 """The margin under which the clearance counts."""

@@ -84,7 +84,7 @@ def test_the_reward_is_the_way_left_and_falls_with_the_margin(env):
 
 def test_a_step_under_brax_wrappers(env):
     reset, step = wrapped(env)
-    state = reset(jax.random.split(jax.random.key(0), 2))
+    state = reset(jax.random.split(jax.random.PRNGKey(0), 2))
     assert state.obs.shape == (2, env.observation_size)
     assert not state.done.any()
     moved = step(state, jnp.array([[1.0, 0, 0], [0, 0, 1.0]]))
@@ -97,7 +97,7 @@ def test_a_step_under_brax_wrappers(env):
 
 def test_brax_resets_a_hand_that_touches_and_one_that_is_out_of_time(env):
     reset, step = wrapped(env)
-    first = state = reset(jax.random.split(jax.random.key(1), 2))
+    first = state = reset(jax.random.split(jax.random.PRNGKey(1), 2))
     # One is thrown at a box, the other stays where it is.
     data = state.pipeline_state
     fast = data.qvel.at[0].set(jnp.array([6.0, 0, 0]))
