@@ -37,8 +37,8 @@ SCENE = """
     <default class="box"><geom type="box" contype="2" conaffinity="1"/></default>
   </default>
   <worldbody>
-    <geom class="box" pos="0.02 0.38 0" size="0.12 0.2 0.1" euler="0 0 -15"/>
-    <geom class="box" pos="0.02 -0.38 0" size="0.12 0.2 0.1" euler="0 0 15"/>
+    <geom class="box" pos="0.02 0.4 0" size="0.12 0.2 0.1" euler="0 0 -15"/>
+    <geom class="box" pos="0.02 -0.4 0" size="0.12 0.2 0.1" euler="0 0 15"/>
     <geom class="box" pos="0.52 0 0" size="0.05 0.3 0.1"/>
     <body name="hand">
       <joint name="x" type="slide" axis="1 0 0"/>
@@ -60,8 +60,8 @@ START, SPREAD = (-0.45, 0.1, 1.3), (0.05, 0.25, 0.2)
 TARGET, TARGET_SPREAD = (0.3, 0.0), 0.03
 """Where the grip shall be (m)."""
 
-NEAR = 0.15
-"""The margin under which the reward falls: the bodies would touch if grown by 15 %."""
+NEAR, THERE = 0.1, 0.15
+"""The margin under which the reward falls; how near the bonus begins (m)."""
 
 
 class Reach(Env):
@@ -122,7 +122,7 @@ class Reach(Env):
         margins = self.margins(data)
         way = info["target"] - data.site_xpos[0, :2]
         distance, nearest = safe_norm(way), margins.min()
-        reward = 1 - distance - jax.nn.relu(NEAR - nearest) / NEAR
+        reward = _reward(distance, nearest)
         done = (nearest < 0).astype(reward.dtype)
         return State(
             pipeline_state=data,
@@ -132,6 +132,11 @@ class Reach(Env):
             metrics={"distance": distance, "margin": nearest, "touched": done},
             info=info,
         )
+
+
+def _reward(distance: jax.Array, nearest: jax.Array) -> jax.Array:
+    bonus = jnp.exp(-jnp.square(distance / THERE))
+    return 1 - distance + bonus - jax.nn.relu(NEAR - nearest) / NEAR
 
 
 def _observation(data: mjx.Data, way: jax.Array, margins: jax.Array) -> jax.Array:

@@ -72,9 +72,11 @@ def test_an_episode_ends_where_mujoco_finds_a_touch(env):
     np.testing.assert_array_equal(state.done[clear], expected[clear])
 
 
-def test_the_reward_is_the_way_left_and_falls_with_the_margin(env):
+def test_the_reward_grows_near_the_target_and_falls_with_the_margin(env):
     metrics = standing(env).metrics
-    lost = np.asarray(1 - metrics["distance"] - standing(env).reward)
+    distance = np.asarray(metrics["distance"])
+    there = np.exp(-np.square(distance / reach_env.THERE))
+    lost = 1 - distance + there - np.asarray(standing(env).reward)
     margin = np.asarray(metrics["margin"])
     order = np.argsort(margin)
     assert np.all(np.diff(lost[order]) <= 1e-6)
