@@ -1,4 +1,4 @@
-"""States of a scene and random pairs for the filter's benchmark, and the truth there."""
+"""States and random pairs for the filter's benchmark, and the truth there."""
 
 from __future__ import annotations
 
@@ -54,10 +54,11 @@ class Sample(NamedTuple):
         box, ellipsoid = gather(self.pairs, self.model, self.data)
         shape = box.center.shape[:-1]
         fields = [*box.fields().values(), *ellipsoid.fields().values()]
+        tails = (1, 2, 1, 1, 2, 1)
         return scenes.Scene(
             *(
-                _flat(np.asarray(x), shape, 1 + (i % 3 == 1))
-                for i, x in enumerate(fields)
+                _flat(np.asarray(x), shape, n)
+                for x, n in zip(fields, tails, strict=True)
             )
         )
 
@@ -98,9 +99,8 @@ def without_ellipsoid_box(model: Any) -> Any:
     Nor do cylinders and boxes, which MJX does not know either.
     """
     kinds = model.geom_type
-    bits = np.where(
-        kinds == BOX, 2, np.where(kinds == mujoco.mjtGeom.mjGEOM_PLANE, 3, 1)
-    )
+    bits = np.where(kinds == BOX, 2, 1)
+    bits[kinds == mujoco.mjtGeom.mjGEOM_PLANE] = 3
     bits[model.geom_contype == 0] = 0
     model.geom_contype[:] = model.geom_conaffinity[:] = bits
     return model

@@ -2,8 +2,8 @@
 
     XLA_FLAGS=--xla_cpu_use_fusion_emitters=false python -m benchmarks.filter_step
 
-prints one JSON object. On a CPU newer versions of XLA make a program of MJX's kinematics
-that takes most of a second an environment, unless that flag is set; it slows the filter.
+prints one JSON object. On a CPU newer versions of XLA make a program of MJX's
+kinematics that takes most of a second, unless that flag is set; it slows the filter.
 The step is that of a model in which ellipsoids and boxes do not collide (MJX refuses
 those pairs), once with all other contacts and once without any.
 """
