@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+LONG = np.longdouble
+
 
 class Nearest(NamedTuple):
     """q (n,), its minimiser x in the box (n, 3) and multipliers (n, 3), box axes."""
@@ -24,6 +26,21 @@ class Nearest(NamedTuple):
 def scaled_distance(scene: Any) -> np.ndarray:
     """sqrt(q) of each pair: they overlap exactly if it is at most 1."""
     return np.sqrt(nearest_in(scene).q)
+
+
+def value_along(scene: Any, normal: np.ndarray) -> np.ndarray:
+    """The signed distance along normals (from ellipsoid to box), of any length.
+
+    In extended precision, for the floats as they are: w.(K - C) - sum e_i |u_i.w| -
+    sqrt(sum (a_p v_p.w)^2) for the unit w. No direction gives more than the distance.
+    """
+    C, U, e, K, V, a = (x.astype(LONG) for x in scene)
+    w = -normal.astype(LONG)
+    w = w / np.linalg.norm(w.astype(float), axis=1, keepdims=True)
+    w = w / np.sqrt(np.sum(w * w, axis=1, keepdims=True))
+    extent = np.sum(e * abs(np.einsum("nri,nr->ni", U, w)), axis=1)
+    radius = np.sqrt(np.sum((a * np.einsum("nrp,nr->np", V, w)) ** 2, axis=1))
+    return (np.sum(w * (K - C), axis=1) - extent - radius).astype(np.float64)
 
 
 def canonical(scene: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,8 @@ import numpy as np
 
 import jaxbe
 from benchmarks import scenes
-
-LONG = np.longdouble
+from benchmarks.reference import LONG
+from benchmarks.reference import value_along as value_along
 
 
 @functools.cache
@@ -56,17 +56,6 @@ def bounds(scene, steps=None):
 
 def overlapping(scene):
     return np.asarray(jax.jit(jaxbe.overlap)(*scene.bodies()))
-
-
-def value_along(scene, normal):
-    """The signed distance along the unit normals (from ellipsoid to box)."""
-    C, U, e, K, V, a = (x.astype(LONG) for x in scene)
-    w = -normal.astype(LONG)
-    w = w / np.linalg.norm(w.astype(float), axis=1, keepdims=True)
-    w = w / np.sqrt(np.sum(w * w, axis=1, keepdims=True))
-    extent = np.sum(e * abs(np.einsum("nri,nr->ni", U, w)), axis=1)
-    radius = np.sqrt(np.sum((a * np.einsum("nrp,nr->np", V, w)) ** 2, axis=1))
-    return (np.sum(w * (K - C), axis=1) - extent - radius).astype(np.float64)
 
 
 def value_in_box_axes(scene, n):

@@ -12,11 +12,12 @@ from mujoco import mjx
 
 import jaxbe
 from benchmarks import scenes
+from benchmarks.reference import value_along
 from jaxbe.lower_bound import MAX_STEPS
 from jaxbe.mjx import Pairs, bounds, filter_contacts, find_pairs, gather
 from jaxbe.mjx.margins import contact_distance
 from tests import programs
-from tests.distance_reference import found, value_along
+from tests.distance_reference import found
 from tests.test_gather import SCENE, mjx_state, poses_of, random_data
 from tests.test_gather import allow_pairs as allow_pairs
 

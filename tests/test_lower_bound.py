@@ -9,11 +9,12 @@ import pytest
 
 import jaxbe
 from benchmarks import scenes
+from benchmarks.reference import LONG, value_along
 from jaxbe import lower_bound
 from jaxbe.lower_bound import MAX_STEPS, ROUNDINGS, distance_lower_bound
 from jaxbe.pose import canonical_pair
 from tests import programs, truth
-from tests.distance_reference import LONG, found, in_chunks, value_along
+from tests.distance_reference import found, in_chunks
 from tests.margin_reference import KINDS, LOWS
 
 COUNTS = (0, 1, MAX_STEPS)

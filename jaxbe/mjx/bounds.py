@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,8 +12,11 @@ from jaxbe.kept import kept_from
 from jaxbe.lower_bound import distance_lower_bound
 from jaxbe.mjx.gather import bodies
 from jaxbe.mjx.pairs import Ids, Mask, Pairs
+from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
 from jaxbe.validate import is_readable
+
+Query = Callable[[Box, Ellipsoid], Scalars]
 
 WASTE = 4
 """Up to so many times as many ellipsoids times boxes as there are pairs are written
@@ -23,26 +27,18 @@ def pair_distances(pairs: Pairs, model: Any, data: Any, steps: int) -> Scalars:
     """The certified lower bounds, (..., P); spheres take no steps."""
     spheres = _are_spheres(pairs, model)
     if not steps or spheres.all():
-        return _distances(pairs.geom, model, data, 0)
+        return of_pairs(_bound(0), pairs.geom, model, data)
     if not spheres.any():
-        return _distances(pairs.geom, model, data, steps)
-    exact = _distances(pairs.geom[spheres], model, data, 0)
-    others = _distances(pairs.geom[~spheres], model, data, steps)
+        return of_pairs(_bound(steps), pairs.geom, model, data)
+    exact = of_pairs(_bound(0), pairs.geom[spheres], model, data)
+    others = of_pairs(_bound(steps), pairs.geom[~spheres], model, data)
     # Back in the order of the pairs.
     order = np.argsort(np.argsort(~spheres, kind="stable"))
     return jnp.concatenate([exact, others], axis=-1)[..., order]
 
 
-def _are_spheres(pairs: Pairs, model: Any) -> Mask:
-    """Which pairs are known to have an ellipsoid of equal semi-axes, (P,)."""
-    if not is_readable(model.geom_size) or model.geom_size.ndim != 2:
-        return np.zeros(len(pairs), bool)
-    a = np.asarray(model.geom_size)[pairs.geom[:, 0]]
-    return np.asarray((a == a[:, :1]).all(axis=1))
-
-
-def _distances(geom: Ids, model: Any, data: Any, steps: int) -> Scalars:
-    """The bounds of pairs (P, 2) of ids.
+def of_pairs(query: Query, geom: Ids, model: Any, data: Any) -> Scalars:
+    """What a query says of the pairs (P, 2) of ids: (..., P).
 
     As a choice from every ellipsoid against every box: XLA computes what is chosen and
     no more, in one vectorised loop, and gathers each body once. On a CPU that is four
@@ -51,13 +47,21 @@ def _distances(geom: Ids, model: Any, data: Any, steps: int) -> Scalars:
     ellipsoids, row = np.unique(geom[:, 0], return_inverse=True)
     boxes, column = np.unique(geom[:, 1], return_inverse=True)
     if len(ellipsoids) * len(boxes) > WASTE * len(geom):
-        return _one_by_one(geom, model, data, steps)
-    grid = bodies(ellipsoids[:, None], boxes[None, :], model, data)
-    table = distance_lower_bound(*grid, steps)
+        box, ellipsoid = bodies(geom[:, 0], geom[:, 1], model, data)
+        found = query(box, ellipsoid)
+        # In a loop of its own, or each use of it would compute it again.
+        return kept_from(found, jnp.broadcast_to(box.center[..., 0], found.shape))
+    table = query(*bodies(ellipsoids[:, None], boxes[None, :], model, data))
     return table.reshape(*table.shape[:-2], -1)[..., row * len(boxes) + column]
 
 
-def _one_by_one(geom: Ids, model: Any, data: Any, steps: int) -> Scalars:
-    box, ellipsoid = bodies(geom[:, 0], geom[:, 1], model, data)
-    found = distance_lower_bound(box, ellipsoid, steps)
-    return kept_from(found, jnp.broadcast_to(box.center[..., 0], found.shape))
+def _bound(steps: int) -> Query:
+    return lambda box, ellipsoid: distance_lower_bound(box, ellipsoid, steps)
+
+
+def _are_spheres(pairs: Pairs, model: Any) -> Mask:
+    """Which pairs are known to have an ellipsoid of equal semi-axes, (P,)."""
+    if not is_readable(model.geom_size) or model.geom_size.ndim != 2:
+        return np.zeros(len(pairs), bool)
+    a = np.asarray(model.geom_size)[pairs.geom[:, 0]]
+    return np.asarray((a == a[:, :1]).all(axis=1))

@@ -95,7 +95,7 @@ def filter_contacts(
     kept = ~(found > bound)
     if mask is not None:
         kept = kept & _as_mask(mask, found)
-    return _nearest(pairs, found, kept, count)
+    return nearest_candidates(pairs, found, kept, count)
 
 
 def _as_mask(given: ArrayLike, found: Scalars) -> Flags:
@@ -118,7 +118,9 @@ def _broadcast(name: str, x: jax.Array, found: Scalars) -> jax.Array:
     )
 
 
-def _nearest(pairs: Pairs, found: Scalars, kept: Flags, count: int) -> Candidates:
+def nearest_candidates(
+    pairs: Pairs, found: Scalars, kept: Flags, count: int
+) -> Candidates:
     """The nearest of those kept, in a fixed number of places."""
     # One more than wanted: for all there are XLA sorts, which on a CPU takes twice as
     # long as choosing.
