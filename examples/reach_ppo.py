@@ -1,7 +1,7 @@
 """python examples/reach_ppo.py --output reach-ppo.png  (--quick: too short to learn).
 
 Brax's PPO on `reach_env.Reach`: the return of episodes of 60 steps before, during and
-after the training, and the paths of the hand with what it has learned. 3 to 4 minutes
+after the training, and the paths of the hand with what it has learned. 3 to 5 minutes
 on two busy cores, most of them compiling.
 """
 
