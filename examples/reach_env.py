@@ -37,8 +37,8 @@ SCENE = """
     <default class="box"><geom type="box" contype="2" conaffinity="1"/></default>
   </default>
   <worldbody>
-    <geom class="box" pos="0.02 0.4 0" size="0.12 0.2 0.1" euler="0 0 -15"/>
-    <geom class="box" pos="0.02 -0.4 0" size="0.12 0.2 0.1" euler="0 0 15"/>
+    <geom class="box" pos="0.02 0.43 0" size="0.12 0.2 0.1" euler="0 0 -15"/>
+    <geom class="box" pos="0.02 -0.43 0" size="0.12 0.2 0.1" euler="0 0 15"/>
     <geom class="box" pos="0.52 0 0" size="0.05 0.3 0.1"/>
     <body name="hand">
       <joint name="x" type="slide" axis="1 0 0"/>
@@ -60,7 +60,7 @@ START, SPREAD = (-0.45, 0.1, 1.3), (0.05, 0.25, 0.2)
 TARGET, TARGET_SPREAD = (0.3, 0.0), 0.03
 """Where the grip shall be (m)."""
 
-NEAR, THERE = 0.1, 0.15
+NEAR, THERE = 0.1, 0.2
 """The margin under which the reward falls; how near the bonus begins (m)."""
 
 

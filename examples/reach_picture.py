@@ -20,7 +20,7 @@ def draw_scene(axes: Any, env: Reach) -> None:
         style = {"angle": angle, "rotation_point": "center", "color": "0.3"}
         axes.add_patch(Rectangle(corner, *(2 * half), **style))
     axes.plot(*TARGET, "*", ms=12, color="tab:green", zorder=5)
-    axes.set(xlim=(-0.85, 0.65), ylim=(-0.62, 0.62), aspect="equal")
+    axes.set(xlim=(-0.85, 0.65), ylim=(-0.67, 0.67), aspect="equal")
     axes.set(xlabel="x (m)", ylabel="y (m)")
 
 

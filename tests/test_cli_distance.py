@@ -15,6 +15,8 @@ from jaxbe.cli.pair_results import PairResults
 from jaxbe.cli.picture import NORMAL_COLOR, View, draw
 from tests.test_cli import NO_OPENGL, has_hue, pixels, share_of
 
+pytestmark = pytest.mark.bulk
+
 SCENE = """
 <mujoco><worldbody><light pos="0 0 3"/>
   <geom name="shelf" type="box" size=".5 .4 .02" pos="0 0 .3"/>

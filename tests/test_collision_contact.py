@@ -16,6 +16,8 @@ from jaxbe.mjx.ellipsoid_box import ellipsoid_box
 from tests import distance_reference as dr
 from tests import hits, in_mjx
 
+pytestmark = pytest.mark.bulk
+
 N = 30
 """Boxes, and as many ellipsoids after them; all pairs of one and one."""
 

@@ -15,6 +15,8 @@ import reach_env  # noqa: E402
 import reach_gradient  # noqa: E402
 from brax.envs.wrappers import training  # noqa: E402
 
+pytestmark = pytest.mark.bulk
+
 
 @pytest.fixture(autouse=True)
 def jax_as_users_have_it():

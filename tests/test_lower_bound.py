@@ -17,6 +17,8 @@ from tests import programs, truth
 from tests.distance_reference import found, in_chunks
 from tests.margin_reference import KINDS, LOWS
 
+pytestmark = pytest.mark.bulk
+
 COUNTS = (0, 1, MAX_STEPS)
 
 
