@@ -43,17 +43,17 @@ def test_what_is_missed_is_counted():
 
 
 def test_poses_of_mujoco_are_those_of_mjx_to_rounding():
-    sample = filter_scenes.arm_states(0, 3, 5)
+    sample = filter_scenes.arm_states(0, 20, 5)
     truth = filter_scenes.distance(sample.scene())
-    which = np.array([[0, 0], [1, 90], [2, 109]])
+    which = np.array([[0, 0], [1, 90], [19, 109]])
     found = filter_scenes.distances_by_mujoco(sample, which)
     np.testing.assert_allclose(found, truth[which @ [110, 1]], atol=3e-6)
-    lower = np.where(np.arange(330) == 200, 1.0, -1.0)
-    counts = filter._by_mujoco(sample, np.zeros(330), lower)
+    lower = np.where(np.arange(2200) == 200, 1.0, -1.0)
+    counts = filter._by_mujoco(sample, np.zeros(2200), lower)
     assert counts == {"dropped": 0, "largest_depth": 0.0}
     deepest = np.argmin(truth)
-    lower = np.where(np.arange(330) == deepest, 1.0, -1.0)
-    counts = filter._by_mujoco(sample, np.zeros(330), lower)
+    lower = np.where(np.arange(2200) == deepest, 1.0, -1.0)
+    counts = filter._by_mujoco(sample, np.zeros(2200), lower)
     assert counts["dropped"] == 1
     assert counts["largest_depth"] == pytest.approx(-truth[deepest], abs=3e-6)
 
