@@ -131,7 +131,7 @@ def _by_steps(
 def _by_mujoco(sample: Sample, truth: np.ndarray, lower: np.ndarray) -> dict[str, Any]:
     """Pairs dropped that overlap at MuJoCo C's own poses, in float64."""
     doubtful = np.flatnonzero((lower > 0) & (truth < 1e-4))
-    which = np.stack(np.unravel_index(doubtful, (len(sample.position), -1)), axis=1)
+    which = np.stack(np.divmod(doubtful, len(sample.pairs)), axis=1)
     depth = -filter_scenes.distances_by_mujoco(sample, which)
     overlapping = depth[depth > 0]
     return {

@@ -24,6 +24,9 @@ PAIRS_A_STATE = 100
 """Of random pairs."""
 
 TRUTH_STEPS = 12
+TRUTH_PAIRS = 10_000
+"""At a time: one compilation for all."""
+
 DTYPE = np.float32
 
 
@@ -161,7 +164,12 @@ def distance(pairs: scenes.Scene) -> np.ndarray:
 
     Along the direction that is found in float64, in extended precision.
     """
-    n = np.asarray(_directions(*pairs.astype(np.float64).bodies()))
+    parts = []
+    for start in range(0, pairs.size, TRUTH_PAIRS):
+        which = np.arange(start, start + TRUTH_PAIRS) % pairs.size
+        n = _directions(*pairs.part(which).astype(np.float64).bodies())
+        parts.append(np.asarray(n))
+    n = np.concatenate(parts)[: pairs.size]
     return reference.value_along(pairs, -np.einsum("nri,ni->nr", pairs.U, n))
 
 
