@@ -34,8 +34,8 @@ def signed_distance(
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
         steps: 1 to 24: of the search for the nearest points before the descents that
-            polish them, and, less one and to 3, of the first descents of pairs that
-            overlap. From 5 on those begin at seven starts instead of four.
+            polish them; less one, but 1 to 3, also of the first descents. From 5 on
+            these begin at seven starts instead of four.
 
     Returns:
         Metres, of the common batch shape. The sign is that of `overlap`; 0 at touching,

@@ -62,7 +62,7 @@ from jaxbe.pose import (
 )
 from jaxbe.separation import refined_shift
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.types import ComponentMatrix, Components, Scalars
+from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
 MAX_STEPS = 4
 """As many as XLA compiles well in one expression (see `jaxbe.separation`)."""
@@ -106,13 +106,15 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
 
     Returns:
         Metres, of the common batch shape: at one step or more positive for every pair
-        that is apart by more than rounding. NaN if any number is NaN; if one is
+        that is apart by more than rounding. NaN if any number is NaN, or an axis is
+        shorter than half or longer than twice a unit; if one is
         infinite, or lost to under- or overflow, NaN or minus infinity. Derivatives are
         those of the distance along the direction found.
     """
     pair = canonical_pair(box, ellipsoid)
     world = _world(box, ellipsoid, pair)
-    return (_best(world, pair, steps).distance - _slack(world)) / pair.per_unit
+    bound = (_best(world, pair, steps).distance - _slack(world)) / pair.per_unit
+    return jnp.where(_has_usable_axes(world), bound, jnp.nan)
 
 
 @distance_lower_bound.defjvp
@@ -209,6 +211,16 @@ def _scaled(n: Components, otherwise: Components) -> Components:
     factor = reciprocal_power_of_two(size)
     usable = (size * factor >= 1) & (size * factor <= 2)
     return where(usable, vector(lambda i: n[i] * factor), otherwise)
+
+
+def _has_usable_axes(world: World) -> Flags:
+    """Whether all axes are from half to twice as long as they should be."""
+    usable = world.c[0] == world.c[0]
+    for axes in (world.U, world.V):
+        for i in range(3):
+            square = dot(column(axes, i), column(axes, i))
+            usable = usable & (square >= 0.25) & (square <= 4)
+    return usable
 
 
 def _slack(world: World) -> Scalars:

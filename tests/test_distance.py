@@ -29,7 +29,7 @@ def apart(n, seed, **options):
 @pytest.mark.parametrize(
     ("low", "high", "steps", "at_999", "at_most"),
     [
-        (0.05, 2.0, None, 1e-10, 1e-8),
+        (0.05, 2.0, None, 1e-12, 1e-11),
         (0.001, 1.0, None, 1e-9, 1e-2),
         pytest.param(0.001, 1.0, 4, 1e-12, 1e-11, marks=pytest.mark.slow),
     ],

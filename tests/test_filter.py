@@ -530,3 +530,21 @@ def test_gradients_are_finite(model, pairs, dtype):
     gradient = np.asarray(total(data.geom_xpos, data.geom_xmat))
     assert np.all(np.isfinite(gradient))
     assert np.any(gradient)
+
+
+def test_the_margin_that_overrides_contacts():
+    """As MuJoCo C has it: what it makes a contact of is kept."""
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco>
+      <option o_margin="0.5"><flag override="enable"/></option>
+      <worldbody>
+        <geom type="box" size="1 1 1"/>
+        <body pos="0 0 1.4"><freejoint/><geom type="ellipsoid" size=".3 .2 .2"/></body>
+      </worldbody>
+    </mujoco>
+    """)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    kept = filter_contacts(find_pairs(model), model, data, max_pairs=3)
+    np.testing.assert_array_equal(kept.valid, [True, False, False])

@@ -247,3 +247,12 @@ def test_one_loop(steps, dtype):
     programs.check_branch_free(function, *bodies)
     assert programs.fusions(function, *bodies) == 1
     assert programs.largest_expression(function, *bodies) <= 3000
+
+
+@pytest.mark.parametrize("factor", [1e-20, 0.4, 2.5, 1e15])
+def test_axes_far_from_unit_length_are_not_decided(factor, dtype):
+    scene = scenes.random(100, seed=66).astype(dtype)
+    for field in ("U", "V"):
+        axes = getattr(scene, field) * np.asarray(factor, dtype)
+        bodies = scene._replace(**{field: axes}).bodies()
+        assert np.all(np.isnan(distance_lower_bound(*bodies, 1)))

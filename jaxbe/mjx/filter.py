@@ -22,12 +22,12 @@ MAX_PAIRS = 1 << 24
 
 
 class Candidates(NamedTuple):
-    """The pairs that a filter kept, nearest first.
+    """The pairs that a filter kept, nearest first by their lower bounds.
 
     Attributes:
         geom: (..., max_pairs, 2) geom ids, [ellipsoid, box]. Where not `valid` they are
-            those of a pair that was not kept, so that gathering its bodies is safe;
-            -1 only in a model without pairs.
+            those of some pair, perhaps one listed already, so that gathering its bodies
+            is safe; -1 only in a model without pairs.
         distance: (..., max_pairs) metres: a certified lower bound of the signed
             distance, rounding included. NaN for poses that are NaN, which come first;
             infinity where not `valid`.
@@ -54,8 +54,9 @@ def filter_contacts(
     """Keeps every pair that is nearer than a distance, and few others.
 
     A pair is dropped only if a direction proves, rounding included, that the very
-    poses and sizes given are further apart (see `jaxbe.lower_bound`), whatever the
-    dtype and however far the axes have drifted from orthonormal. A pair that cannot be
+    poses and sizes given are further apart (see `jaxbe.lower_bound`), with axes that
+    have drifted from orthonormal, too; or if more pairs are kept than fit, which
+    `overflow` says: then those with the largest lower bounds go. A pair that cannot be
     decided, because a number is NaN or infinite, is kept.
 
     Args:
@@ -63,7 +64,8 @@ def filter_contacts(
         model: as for `gather`; without `distance` it has the geoms' margins too.
             Ellipsoids whose semi-axes are equal take a shorter way if the sizes are
             known when this is traced: not batched, nor arguments of `jit`.
-        data: as for `gather`.
+        data: as for `gather`. After a step MuJoCo's poses are those before the joints
+            moved: `mjx.kinematics` brings them up to date.
         distance: metres, a number or an array that broadcasts to (..., P). By default
             that at which MuJoCo's C engine makes a contact: margin plus gap of the
             `<pair>`, else of both geoms. Up to 3.12, where the larger of two margins

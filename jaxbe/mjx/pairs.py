@@ -65,6 +65,7 @@ def find_pairs(
         TypeError: `geoms` is one string instead of several.
         ValueError: `geoms` has a name or an id that the model has not.
     """
+    chosen = range(model.ngeom) if geoms is None else _geom_ids(model, geoms)
     if only_enabled and _is_disabled(model, "CONTACT", "CONSTRAINT"):
         return Pairs(np.zeros((0, 2), int))
     types = np.asarray(model.geom_type)
@@ -76,7 +77,6 @@ def find_pairs(
         np.concatenate([by_filters, elements]), axis=0, return_inverse=True
     )
     rows = rows.reshape(-1)[len(by_filters) :]
-    chosen = range(model.ngeom) if geoms is None else _geom_ids(model, geoms)
     wanted = np.asarray(np.isin(pairs, chosen).any(axis=1))
     explicit = np.stack([np.cumsum(wanted)[rows] - 1, ids], axis=1)
     return Pairs(pairs[wanted], explicit[wanted[rows]])
