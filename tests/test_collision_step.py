@@ -149,6 +149,7 @@ def assert_derivatives_are_right(model, derivative, tolerance):
     assert np.max(abs(jacobian[10:, 6:])) > 1
 
 
+@pytest.mark.slow
 def test_forward_derivative_of_a_rollout():
     """The solver goes on to the end, or differences would be those of its ends."""
     assert_derivatives_are_right(model_of(tolerance=1e-14), jax.jacfwd, 1e-7)

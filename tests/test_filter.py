@@ -22,6 +22,9 @@ from tests.test_gather import SCENE, mjx_state, poses_of, random_data
 from tests.test_gather import allow_pairs as allow_pairs
 
 
+pytestmark = pytest.mark.bulk
+
+
 @pytest.fixture
 def model():
     return mujoco.MjModel.from_xml_string(SCENE)
