@@ -21,7 +21,6 @@ from tests.distance_reference import found
 from tests.test_gather import SCENE, mjx_state, poses_of, random_data
 from tests.test_gather import allow_pairs as allow_pairs
 
-
 pytestmark = pytest.mark.bulk
 
 
