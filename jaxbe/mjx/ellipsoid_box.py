@@ -12,6 +12,9 @@ from jaxbe.contact import contact
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Matrices, Scalars, Vectors
 
+STEPS = 4
+"""Of `jaxbe.contact`: one more than by default, for bodies that overlap deeply."""
+
 Collision = tuple[Scalars, Vectors, Matrices]
 """Distance, position and frame, as in MJX's `collision_types`."""
 
@@ -54,6 +57,7 @@ def _collide(
     touch = contact(
         Box.unchecked(position[box], axes[box], size[box]),
         Ellipsoid.unchecked(position[ellipsoid], axes[ellipsoid], size[ellipsoid]),
+        steps=STEPS,
     )
     return touch.distance, touch.position, _frames(touch.normal)
 
