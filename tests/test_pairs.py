@@ -220,6 +220,7 @@ def test_contacts_and_flags_agree_with_mujoco_c():
     for flag in ("contact", "constraint", "gravity"):
         model = two_bodies(option=f'<flag {flag}="disable"/>')
         data = mujoco.MjData(model)
+        data.qpos[7:10] = 0.5, 0.3, 0.2  # MuJoCo 3.3.5 finds none at one centre
         mujoco.mj_forward(model, data)
         assert len(find_pairs(model, only_enabled=True)) == min(data.ncon, 1)
 
