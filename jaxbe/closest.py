@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,10 +13,10 @@ import numpy as np
 
 from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_direction
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
+from jaxbe.kept import kept, kept_direction, shared
+from jaxbe.pose import CanonicalPair, canonical_pair, canonical_pair_again
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.starts import every_other_start, first_start, numbered_start, other_starts
+from jaxbe.starts import Read, Start, chosen_starts, first_start, other_starts
 from jaxbe.support import along_axes
 from jaxbe.tangent import Tangent, depth, improved, search, solve, tangent
 from jaxbe.types import Components, Flags, Scalars
@@ -49,13 +50,13 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
     descents polish what `jaxbe.separation` found.
     """
-    # Loops in different units share little: see `jaxbe.pose.in_other_units`.
-    pair = canonical_pair(box, ellipsoid)
-    u = _best_start(pair, steps)
-    u = _refined(in_other_units(pair, 8), u, LAST_ROUNDS)
-    u = kept_direction(u, pair.k[0])
+    read = functools.partial(canonical_pair_again, box, ellipsoid)
+    ends = _ends_of_descents(canonical_pair(box, ellipsoid), read, steps)
+    together = functools.reduce(operator.add, [end[0] for end in ends])
+    u = _best_refined(read(together), ends)
+    pair = read(u[0])
     F, length = depth(search(pair), u)
-    n = vector(lambda i: u[i] / length)
+    n = vector(lambda i: shared(u[i] / shared(length)))
     distance = -F / length / pair.per_unit
     return Closest(n, jnp.where(_is_too_far(pair), jnp.nan, distance))
 
@@ -90,30 +91,36 @@ def _is_too_far(pair: CanonicalPair) -> Flags:
     return too_far
 
 
-def _best_start(pair: CanonicalPair, steps: int) -> Components:
-    """The best end of the first descents."""
+def _ends_of_descents(pair: CanonicalPair, read: Read, steps: int) -> list[Components]:
+    """Where the first descents end: the better one of every two."""
+    first = first_start(pair, read, steps)
+    starts: list[Start] = [lambda _: first]
     if steps < THOROUGH:
-        numbers = other_starts(in_other_units(pair, 16))
-        others = [numbered_start(pair, number) for number in numbers]
+        starts += chosen_starts(read(first[2]))
     else:
-        others = every_other_start(pair)
-    starts = [first_start(pair, steps), *others]
+        starts += other_starts()
     rounds = min(max(steps - 1, 1), MOST_FIRST_ROUNDS)
-    groups = [starts[i : i + 2] for i in range(0, len(starts), 2)]
-    ends = [
-        _descended(in_other_units(pair, 32 << i), group, rounds)
-        for i, group in enumerate(groups)
-    ]
-    return functools.reduce(functools.partial(_better, pair), ends)
+    ends = [first]
+    for i in range(0, len(starts), 2):
+        pair = read(ends[-1][0])
+        ends.append(
+            _descended(pair, [start(pair) for start in starts[i : i + 2]], rounds)
+        )
+    return ends[1:]
 
 
 def _descended(
     pair: CanonicalPair, starts: Sequence[Components], rounds: int
 ) -> Components:
     """The best end of two descents, in a loop of its own."""
-    ends = (_refined(pair, u, rounds) for u in starts)
-    best = functools.reduce(functools.partial(_better, pair), ends)
+    best = _best(pair, [_refined(pair, u, rounds) for u in starts])
     return kept_direction(best, pair.k[0])
+
+
+def _best_refined(pair: CanonicalPair, ends: Sequence[Components]) -> Components:
+    """The last steps from the best of several, in a loop of their own."""
+    u = _refined(pair, _best(pair, ends), LAST_ROUNDS)
+    return kept_direction(u, pair.k[0])
 
 
 def _refined(pair: CanonicalPair, u: Components, rounds: int) -> Components:
@@ -127,7 +134,11 @@ def _tangent(pair: CanonicalPair, n: Components) -> Tangent:
     return tangent(search(pair), n)
 
 
-def _better(pair: CanonicalPair, u: Components, v: Components) -> Components:
-    """The direction of the smaller depth."""
+def _best(pair: CanonicalPair, directions: Sequence[Components]) -> Components:
+    """The direction of the smallest depth."""
     here = search(pair)
-    return where(depth(here, v).is_less(depth(here, u)), v, u)
+
+    def better(u: Components, v: Components) -> Components:
+        return where(depth(here, v).is_less(depth(here, u)), v, u)
+
+    return functools.reduce(better, directions)

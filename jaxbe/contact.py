@@ -7,7 +7,6 @@ from typing import NamedTuple
 from jaxbe.closest import closest
 from jaxbe.components import split_matrix, split_vector, stack, times, vector
 from jaxbe.distance import DEFAULT_STEPS, MAX_STEPS, witness_points
-from jaxbe.pose import canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars, Vectors
 from jaxbe.validate import as_count
@@ -60,8 +59,7 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
     """
     steps = as_count("steps", steps, 1, MAX_STEPS)
     n, distance = closest(box, ellipsoid, steps)
-    pair = canonical_pair(box, ellipsoid)
-    x, y = (vector(lambda i: p[i] / pair.per_unit) for p in witness_points(pair, n))  # noqa: B023
+    x, y = witness_points(box, ellipsoid, n)
     on_box, on_ellipsoid = _world(box, x), _world(box, y)
     return Contact(
         distance=distance,

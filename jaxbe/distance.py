@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from jaxbe.closest import closest
 from jaxbe.components import clip, dot, smallest, vector
 from jaxbe.growth import STEPS_A_LOOP, growth_bounds
+from jaxbe.kept import kept, kept_pair, shared
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.pose import CanonicalPair, canonical_pair_again
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
@@ -86,31 +87,41 @@ def distance_bounds(
     """
     steps = as_count("steps", steps, 1, MAX_STEPS)
     n, lower = closest(box, ellipsoid, steps)
-    pair = canonical_pair(box, ellipsoid)
-    on_box, on_ellipsoid = witness_points(pair, n)
+    on_box, on_ellipsoid = witness_points(box, ellipsoid, n)
     between = vector(lambda i: on_box[i] - on_ellipsoid[i])
-    apart = jnp.sqrt(dot(between, between)) / pair.per_unit
+    apart = jnp.sqrt(dot(between, between))
+    pair = canonical_pair_again(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
     upper = jnp.where(overlaps, -_contained_ball(pair), apart)
     return lower, jnp.maximum(lower, upper)
 
 
-def witness_points(pair: CanonicalPair, n: Components) -> tuple[Components, Components]:
+def witness_points(
+    box: Box, ellipsoid: Ellipsoid, n: Components
+) -> tuple[Components, Components]:
     """The points x of the box and y of the ellipsoid that are extreme along n.
 
-    In box coordinates and the pair's units. Where n_i is zero x_i is free, and taken
-    next to y_i.
+    In box coordinates and metres. Where n_i is zero x_i is free, and taken next to y_i.
     """
+    reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)
+    pair = canonical_pair_again(box, ellipsoid, reach[2])
+
+    def coordinates(i: int) -> tuple[Scalars, Scalars]:
+        y = pair.k[i] - dot(pair.R[i], reach)
+        free = clip(y, -pair.e[i], pair.e[i])
+        x = jnp.where(n[i] == 0, free, jnp.sign(n[i]) * pair.e[i])
+        return kept_pair(x / pair.per_unit, y / pair.per_unit, reach[2])
+
+    both = [coordinates(i) for i in range(3)]
+    return vector(lambda i: both[i][0]), vector(lambda i: both[i][1])
+
+
+def _reach(pair: CanonicalPair, n: Components) -> Components:
+    """The ellipsoid's point -n, in its own axes and the pair's units, negated."""
     along = along_axes(pair, n)
-    radius = jnp.sqrt(dot(along, along))
-    reach = vector(lambda p: pair.a[p] * along[p] / radius)
-    y = vector(lambda i: pair.k[i] - dot(pair.R[i], reach))
-
-    def coordinate(i: int) -> Scalars:
-        free = clip(y[i], -pair.e[i], pair.e[i])
-        return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * pair.e[i])
-
-    return vector(coordinate), y
+    radius = shared(jnp.sqrt(dot(along, along)))
+    first, second, third = vector(lambda p: pair.a[p] * along[p] / radius)
+    return (*kept_pair(first, second, n[0]), kept(third, n[0]))
 
 
 def _contained_ball(pair: CanonicalPair) -> Scalars:

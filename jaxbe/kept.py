@@ -27,7 +27,7 @@ def kept(x: Scalars, given: Scalars) -> Scalars:
         given: an array at hand, of the whole batch: a division by what XLA repeats
             along an axis becomes a product, and keeps nothing. NaN makes x NaN.
     """
-    return x / _one(given)
+    return x / opaque_one(given)
 
 
 @kept.defjvp
@@ -41,7 +41,7 @@ def kept_pair(x: Scalars, y: Scalars, given: Scalars) -> tuple[Scalars, Scalars]
 
     An infinity becomes the largest float: it would make the other one NaN.
     """
-    one = _one(given)
+    one = opaque_one(given)
     both = lax.complex(_finite(x), _finite(y)) / lax.complex(one, jnp.zeros_like(one))
     return both.real, both.imag
 
@@ -101,7 +101,7 @@ def _finite(x: Scalars) -> Scalars:
     return jnp.maximum(-most, jnp.minimum(x, most))
 
 
-def _one(given: Scalars) -> Scalars:
+def opaque_one(given: Scalars) -> Scalars:
     """1, in a way that the compiler does not see through."""
     return jnp.where(given == given, 1, jnp.nan).astype(given.dtype)
 

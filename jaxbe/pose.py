@@ -22,6 +22,7 @@ from jaxbe.components import (
     split_vector,
     vector,
 )
+from jaxbe.kept import opaque_one
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Scalars
 
@@ -40,7 +41,9 @@ class CanonicalPair(NamedTuple):
     per_unit: Scalars
 
 
-def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
+def canonical_pair(
+    box: Box, ellipsoid: Ellipsoid, one: Scalars | None = None
+) -> CanonicalPair:
     """Expresses the ellipsoid in the frame of the box, and scales.
 
     K - C is taken first, so the distance of both bodies from the origin costs
@@ -50,6 +53,7 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
+        one: a factor of the numbers given, see `canonical_pair_again`.
 
     Returns:
         Components that broadcast to the common batch shape. A NaN or an
@@ -64,6 +68,9 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     U, V = split_matrix(box.axes, rank), split_matrix(ellipsoid.axes, rank)
     e = split_vector(box.half_extents, rank)
     a = split_vector(ellipsoid.semi_axes, rank)
+    if one is not None:
+        C, K, e, a = (vector(lambda i: x[i] * one) for x in (C, K, e, a))  # noqa: B023
+        U = matrix(lambda i, j: U[i][j] * one)
     per_unit = reciprocal_power_of_two(largest(a))
     offset = vector(lambda i: (K[i] - C[i]) * per_unit)
     e = vector(lambda i: e[i] * per_unit)
@@ -76,11 +83,28 @@ def canonical_pair(box: Box, ellipsoid: Ellipsoid) -> CanonicalPair:
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 
+def canonical_pair_again(
+    box: Box, ellipsoid: Ellipsoid, given: Scalars
+) -> CanonicalPair:
+    """The canonical pair, for a loop of its own.
+
+    XLA writes down and reads again, in dozens of arrays, what two loops share. It does
+    not see that this is the pair that other loops have: they read the bodies again.
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        given: an array at hand, of the whole batch, another one for each loop; best
+            one that the loop needs anyway. NaN makes the pair NaN.
+    """
+    return canonical_pair(box, ellipsoid, opaque_one(given))
+
+
 def in_other_units(pair: CanonicalPair, factor: float) -> CanonicalPair:
     """All lengths multiplied by a power of two, which changes no answer.
 
     XLA writes down and reads again, in dozens of arrays, what two loops share. Loops
-    in different units share nothing.
+    in different units share little; `canonical_pair_again` leaves nothing to share.
     """
     k, e, a = (
         (x * factor, y * factor, z * factor) for x, y, z in (pair.k, pair.e, pair.a)

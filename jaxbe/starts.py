@@ -8,6 +8,9 @@ box; 4 to 6, the axes of the ellipsoid.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+
 import jax.numpy as jnp
 
 from jaxbe.components import column, dot, is_zero, vector, where
@@ -15,10 +18,16 @@ from jaxbe.growth import growth_estimate
 from jaxbe.kept import kept_direction, kept_from, shared
 from jaxbe.kernel import nearest
 from jaxbe.metric import inflated, metric_of, shape
-from jaxbe.pose import CanonicalPair, in_other_units
+from jaxbe.pose import CanonicalPair
 from jaxbe.separation import shift
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
+
+Start = Callable[[CanonicalPair], Components]
+"""A direction to begin at, of any length."""
+
+Read = Callable[[Scalars], CanonicalPair]
+"""`canonical_pair_again` of the bodies at hand: the pair, for one more loop."""
 
 GROWTH_STEPS = 1
 """Enough for a start."""
@@ -27,19 +36,37 @@ TRIED = 3
 """Of the starts 1 to 6, so many are followed."""
 
 
-def first_start(pair: CanonicalPair, steps: int) -> Components:
+def first_start(pair: CanonicalPair, read: Read, steps: int) -> Components:
     """Start 0, of any length."""
-    given = pair.k[0]
-    mu = kept_from(shift(pair, steps), given)
-    there = in_other_units(pair, 4)
-    alpha = growth_estimate(there, GROWTH_STEPS)
+    mu = kept_from(shift(pair, steps), pair.k[0])
+    pair = read(mu)
+    alpha = growth_estimate(pair, GROWTH_STEPS)
     # One of the two at a time: mu is zero where they overlap.
     alpha = jnp.where(mu > 0, 1, jnp.minimum(alpha, 1))
-    return kept_direction(_direction(there, alpha, 16 * mu), given)
+    return kept_direction(_direction(pair, alpha, mu), pair.k[0])
 
 
-def other_starts(pair: CanonicalPair) -> Components:
-    """The numbers of the three best of the starts 1 to 6, the best one first."""
+def other_starts() -> list[Start]:
+    """The starts 1 to 6."""
+    faces = [functools.partial(_face, i=i) for i in range(3)]
+    return [*faces, *(functools.partial(_axis, p=p) for p in range(3))]
+
+
+def chosen_starts(pair: CanonicalPair) -> list[Start]:
+    """The three best of the starts 1 to 6, the best one first."""
+    numbers = _best_numbers(pair)
+    return [functools.partial(_numbered, number=number) for number in numbers]
+
+
+def _numbered(pair: CanonicalPair, number: Scalars) -> Components:
+    """One of the starts 1 to 6."""
+    u, *others = (start(pair) for start in other_starts())
+    for i, other in enumerate(others, start=2):
+        u = where(number == i, other, u)
+    return u
+
+
+def _best_numbers(pair: CanonicalPair) -> Components:
     values = [*_depths_of_faces(pair), *_depths_of_axes(pair)]
     numbers = []
     for _ in range(TRIED):
@@ -53,19 +80,6 @@ def other_starts(pair: CanonicalPair) -> Components:
         numbers.append(number)
     # One number, because a loop has one result.
     return _digits(kept_from(numbers[0] + 8 * numbers[1] + 64 * numbers[2], pair.k[0]))
-
-
-def every_other_start(pair: CanonicalPair) -> list[Components]:
-    """The starts 1 to 6."""
-    return [*(_face(pair, i) for i in range(3)), *(_axis(pair, p) for p in range(3))]
-
-
-def numbered_start(pair: CanonicalPair, number: Scalars) -> Components:
-    """One of the starts 1 to 6."""
-    u, *others = every_other_start(pair)
-    for i, other in enumerate(others, start=2):
-        u = where(number == i, other, u)
-    return u
 
 
 def _direction(pair: CanonicalPair, alpha: Scalars, mu: Scalars) -> Components:
