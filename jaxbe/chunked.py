@@ -27,7 +27,7 @@ Shape = tuple[int, ...]
 def chunked(
     function: Callable[[Box, Ellipsoid], Any],
     *,
-    pairs_per_chunk: int = 2**20,
+    pairs_per_chunk: int = 2**18,
     progress: Callable[[range], Iterable[int]] | None = None,
 ) -> Callable[[Box, Ellipsoid], Any]:
     """Computes in chunks of pairs what does not fit into a device's memory at once.
