@@ -20,7 +20,7 @@ def on_devices(axis_type, dtype):
 
 
 def check_share(kernel, told, roundings=100.0, flops=1e-3):
-    """A device does an eighth of the work, on an eighth of the rows, and sends nothing."""
+    """A device does an eighth of the work, on its own rows, and sends nothing."""
     assert told["collectives"] == [], kernel
     assert told["whole arrays"] == 0, kernel
     assert told["parts"] > 0, kernel
@@ -41,6 +41,7 @@ def test_a_device_does_its_share_and_sends_nothing():
         check_share(kernel, told[kernel])
 
 
+@pytest.mark.bulk
 def test_so_it_does_where_shardings_are_types():
     told = on_devices("Explicit", "float64")
     check_share("overlap", told.pop("overlap"), roundings=0)
