@@ -95,9 +95,8 @@ def main(axis_type, dtype):
     told = {name: compared(f, bodies, spread) for name, f in KERNELS.items()}
     one = jax.tree.map(lambda x: x[0], bodies[0])
     one_spread = jax.device_put(one, on_all)
-    told["one box"] = compared(
-        KERNELS["margin"], (one, bodies[1]), (one_spread, spread[1])
-    )
+    one_box = (one, bodies[1]), (one_spread, spread[1])
+    told["one box"] = compared(KERNELS["margin"], *one_box)
     if axis_type == "Auto":
         told["example"] = compared(moved, bodies, spread)
         told["sum"] = compared(summed, bodies, spread)

@@ -1,6 +1,7 @@
 """Batches that stay on the host, computed chunk by chunk."""
 
 import functools
+import gc
 import math
 
 import jax
@@ -160,8 +161,8 @@ def peak(batches, dtype, most=64):
         jax.debug.callback(lambda: seen.append(live_bytes()))
         return jaxbe.overlap(box, ellipsoid)
 
-    before = live_bytes()
-    bodies = pairs(*batches, dtype)
+    gc.collect()
+    before, bodies = live_bytes(), pairs(*batches, dtype)
     jaxbe.chunked(watched, pairs_per_chunk=most)(*bodies)
     jax.effects_barrier()
     assert len(seen) == -(-np.prod(np.broadcast_shapes(*batches)) // most)
