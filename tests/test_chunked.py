@@ -149,40 +149,54 @@ def test_memory_mapped(tmp_path, dtype):
     np.testing.assert_array_equal(found, expected)
 
 
+WIDE = 10_000
+
+
 def live_bytes():
     return sum(x.nbytes for x in jax.live_arrays())
 
 
-def peak(batches, dtype, most=64):
-    """The most bytes in arrays on the device, looked at within every chunk."""
-    seen = []
+def held(batches, dtype, most=64):
+    """The bytes in arrays on the device: within every chunk, and after sending each.
+
+    Results are `WIDE` bytes a pair, so that one too many shows.
+    """
+    within, after = [], []
 
     def watched(box, ellipsoid):
-        jax.debug.callback(lambda: seen.append(live_bytes()))
-        return jaxbe.overlap(box, ellipsoid)
+        jax.debug.callback(lambda: within.append(live_bytes()))
+        touching = jaxbe.overlap(box, ellipsoid)
+        return jnp.broadcast_to(touching[..., None], (*touching.shape, WIDE))
+
+    def progress(chunks):
+        for number in chunks:
+            yield number
+            after.append(live_bytes())
 
     gc.collect()
     before, bodies = live_bytes(), pairs(*batches, dtype)
-    jaxbe.chunked(watched, pairs_per_chunk=most)(*bodies)
+    jaxbe.chunked(watched, pairs_per_chunk=most, progress=progress)(*bodies)
     jax.effects_barrier()
-    assert len(seen) == -(-np.prod(np.broadcast_shapes(*batches)) // most)
-    return max(seen) - before
+    assert len(within) == -(-np.prod(np.broadcast_shapes(*batches)) // most)
+    return np.array(within) - before, np.array(after) - before
 
 
 @pytest.mark.parametrize("chunks", [4, 40])
 def test_the_device_holds_two_chunks(chunks, dtype):
-    each = 64 * (30 * dtype.itemsize + 1)
-    found = peak(((64 * chunks,), (64 * chunks,)), dtype)
-    # The results of the chunk before them may be on their way to the host.
-    assert each // 2 < found <= 2 * each + 64
+    """The inputs of two; the result of one, while that of the other is computed."""
+    within, after = held(((64 * chunks,), (64 * chunks,)), dtype)
+    inputs, result = 64 * 30 * dtype.itemsize, 64 * WIDE
+    assert within.max() <= 2 * inputs + result
+    assert after.max() <= inputs + result
+    assert after.min() >= result
 
 
 def test_what_broadcasts_is_not_expanded(dtype):
     number = 15 * dtype.itemsize
-    one = peak(((), (64 * 10,)), dtype)
-    assert one <= 2 * (number + 64 * number) + 3 * 64
-    rows = peak(((80, 1), (1, 32)), dtype)
-    assert rows <= 2 * (2 * number + 32 * number) + 3 * 64
+    one, _ = held(((), (64 * 10,)), dtype)
+    assert one.max() <= 2 * (number + 64 * number) + 64 * WIDE
+    rows, _ = held(((80, 1), (1, 32)), dtype)
+    assert rows.max() <= 2 * (2 * number + 32 * number) + 64 * WIDE
 
 
 def test_temporaries_are_those_of_a_chunk(dtype):
