@@ -33,7 +33,7 @@ def own_rows(x):
 
 def main(port, process, processes, each):
     jax.distributed.initialize(
-        f"127.0.0.1:{port}", processes, process, initialization_timeout=30
+        f"127.0.0.1:{port}", processes, process, initialization_timeout=60
     )
     count = jax.device_count()
     mesh = jax.make_mesh((count,), ("pairs",), axis_types=(AxisType.Auto,))

@@ -17,12 +17,12 @@ class Failed(RuntimeError):
     """A process that failed, or was not done in time; says what all wrote."""
 
 
-def python(*arguments, devices=1, seconds=150) -> str:
+def python(*arguments, devices=1, seconds=300) -> str:
     """What `python ARGUMENTS` prints, with so many CPU devices."""
     return together([arguments], devices, seconds)[0]
 
 
-def cooperating(arguments, count=2, devices=1, seconds=60, attempts=3) -> list[str]:
+def cooperating(arguments, count=2, devices=1, seconds=120, attempts=3) -> list[str]:
     """What so many processes print that find each other on a free port.
 
     Args:
