@@ -2,6 +2,7 @@
 
 from jaxbe.certify import Certificate, certify
 from jaxbe.checked import checked
+from jaxbe.chunked import chunked
 from jaxbe.contact import Contact, contact
 from jaxbe.distance import distance_bounds, signed_distance
 from jaxbe.margin import margin, margin_bounds, rounding_slack
@@ -19,6 +20,7 @@ __all__ = [
     "Ellipsoid",
     "certify",
     "checked",
+    "chunked",
     "contact",
     "distance_bounds",
     "margin",

@@ -63,7 +63,7 @@ def canonical_pair(
         TypeError: an argument of the wrong class, or of two dtypes.
         ValueError: batch shapes that do not broadcast.
     """
-    rank = len(_batch_shape(box, ellipsoid))
+    rank = len(batch_shape(box, ellipsoid))
     C, K = split_vector(box.center, rank), split_vector(ellipsoid.center, rank)
     U, V = split_matrix(box.axes, rank), split_matrix(ellipsoid.axes, rank)
     e = split_vector(box.half_extents, rank)
@@ -126,7 +126,13 @@ def reciprocal_power_of_two(x: Scalars) -> Scalars:
     return lax.bitcast_convert_type(twice_bias - (bits & exponents), x.dtype)
 
 
-def _batch_shape(box: Box, ellipsoid: Ellipsoid) -> tuple[int, ...]:
+def batch_shape(box: Box, ellipsoid: Ellipsoid) -> tuple[int, ...]:
+    """The common batch shape.
+
+    Raises:
+        TypeError: an argument of the wrong class, or of two dtypes.
+        ValueError: batch shapes that do not broadcast.
+    """
     for name, kind, body in (("box", Box, box), ("ellipsoid", Ellipsoid, ellipsoid)):
         if not isinstance(body, kind):
             raise TypeError(

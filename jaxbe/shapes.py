@@ -72,6 +72,27 @@ class _Body:
         body.check_form()
         return body
 
+    @classmethod
+    def on_host(cls, *fields: ArrayLike) -> Self:
+        """Builds the body of NumPy arrays that stay where they are, also on disk.
+
+        For `jaxbe.chunked`: batches that no device has room for. Nothing is copied, and
+        values are not read; shapes and dtypes are checked as ever.
+
+        Args:
+            *fields: as in the constructor, in its order: arrays of NumPy, memory-mapped
+                ones too. An array of JAX is fetched from its device.
+
+        Raises:
+            TypeError: wrong or mixed dtypes.
+            ValueError: wrong shapes.
+        """
+        named = dict(zip(cls._names(), fields, strict=True))
+        body = cls._unflatten(None, fields)
+        body._set(validate.as_host_floats(cls.__name__, named))
+        body.check_form()
+        return body
+
     def fields(self) -> dict[str, Any]:
         """The three arrays by name."""
         return {name: getattr(self, name) for name in self._names()}

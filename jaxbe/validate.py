@@ -64,17 +64,18 @@ def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array
         TypeError: a field is an array of another dtype than float32 or float64,
             or two fields differ in dtype.
     """
-    given = {name: jnp.asarray(x) for name, x in fields.items() if hasattr(x, "dtype")}
-    for name, x in given.items():
-        _check_dtype(kind, name, x)
-    default = next(iter(given.values())).dtype if given else jnp.zeros(()).dtype
-    arrays = {
-        name: given[name] if name in given else jnp.asarray(x, default)
-        for name, x in fields.items()
-    }
-    _check_one_dtype(kind, arrays)
+    arrays = _of_one_dtype(kind, fields, jnp)
     # A weak type would compile every caller a second time.
     return {n: lax.convert_element_type(x, x.dtype) for n, x in arrays.items()}
+
+
+def as_host_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    """As `as_floats`, but arrays of NumPy, where they are: nothing is copied or read.
+
+    Raises:
+        TypeError: as `as_floats`.
+    """
+    return _of_one_dtype(kind, fields, np)
 
 
 def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
@@ -95,16 +96,18 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
                 f"{kind}: {name} must have shape ({expected}), got {x.shape}"
             )
     _check_one_dtype(kind, fields)
-    leading = {
-        name: x.shape[: x.ndim - len(_TAILS.get(name, (3,)))]
-        for name, x in fields.items()
-    }
+    leading = {name: batch_axes(name, x) for name, x in fields.items()}
     try:
         return np.broadcast_shapes(*leading.values())
     except ValueError:
         raise ValueError(
             f"{kind}: the leading axes of its fields must broadcast, got {leading}"
         ) from None
+
+
+def batch_axes(name: str, x: Any) -> tuple[int, ...]:
+    """The lengths of the leading axes of the field so named."""
+    return tuple(x.shape[: x.ndim - len(_TAILS.get(name, (3,)))])
 
 
 def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
@@ -167,6 +170,22 @@ def is_readable(x: Any) -> bool:
     if isinstance(x, jax.core.Tracer):
         return False
     return not isinstance(x, jax.Array) or x.is_fully_addressable
+
+
+def _of_one_dtype(
+    kind: str, fields: Mapping[str, ArrayLike], xp: ModuleType
+) -> dict[str, Any]:
+    """The fields as arrays of `xp`, JAX's or plain NumPy."""
+    given = {name: xp.asarray(x) for name, x in fields.items() if hasattr(x, "dtype")}
+    for name, x in given.items():
+        _check_dtype(kind, name, x)
+    default = next(iter(given.values())).dtype if given else jnp.zeros(()).dtype
+    arrays = {
+        name: given[name] if name in given else xp.asarray(x, default)
+        for name, x in fields.items()
+    }
+    _check_one_dtype(kind, arrays)
+    return arrays
 
 
 def _check_dtype(kind: str, name: str, x: jax.Array) -> None:
