@@ -32,6 +32,11 @@ def describe() -> dict[str, Any]:
     }
 
 
+def summary(described: dict[str, Any]) -> str:
+    """What `describe` said, in a line."""
+    return f"{described['processor']}, {described['cores']} cores, {described['device']}, jax {described['jax']}"  # noqa: E501
+
+
 def _processor() -> str:
     """The processor's name; `platform` does not know it on Linux."""
     listing = Path("/proc/cpuinfo")

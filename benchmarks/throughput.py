@@ -1,4 +1,4 @@
-"""Pairs a second of the three tests, against a naive enumeration and a plain copy.
+"""Pairs a second of every setting, against a naive enumeration and a plain copy.
 
 Run from the repository root:
 
@@ -31,6 +31,7 @@ from benchmarks import (
     reference,
     report,
     scenes,
+    settings,
     throughput_report,
     timing,
 )
@@ -46,17 +47,36 @@ TILE = 1_000_000
 """Larger batches repeat so many pairs: the programs have no branches."""
 
 
+IN_COMPONENTS = tuple(
+    setting
+    for setting in settings.SETTINGS
+    if setting.function == "overlap"
+    or (setting.function in ("margin", "contact") and setting.is_default)
+)
+"""Measured in the layout (3, N), too."""
+
+GROWN = tuple(
+    setting
+    for setting in settings.SETTINGS
+    if setting.is_default
+    and setting.function in ("overlap", "margin", "signed_distance", "contact")
+)
+"""Measured for all sizes of batches."""
+
+NAIVE = "naive"
+
+
 class Program(NamedTuple):
-    """A compiled test and its arguments.
+    """A compiled function and its arguments.
 
     Attributes:
-        labels: test, dtype and layout, as the report names them.
+        labels: setting, dtype and layout, as the report names them.
         function: the jitted function.
         arguments: on the device.
     """
 
     labels: dict[str, str]
-    function: Callable[..., jax.Array]
+    function: Callable[..., Any]
     arguments: tuple[Any, ...]
 
     @property
@@ -64,39 +84,44 @@ class Program(NamedTuple):
         """One key for dictionaries."""
         return " ".join(self.labels.values())
 
-    def __call__(self) -> jax.Array:
+    def __call__(self) -> Any:
         return self.function(*self.arguments)
 
 
 def programs(pairs: scenes.Scene) -> Iterator[Program]:
-    """Every method by dtype and layout, and the naive test under vmap."""
-    for dtype in ("float32", "float64"):
+    """Every setting by dtype, some by layout, and the naive test under vmap."""
+    for dtype in settings.DTYPES:
         typed = scenes.Scene(*(x.astype(dtype) for x in pairs))
         bodies, turned = typed.bodies(), component_arrays(typed)
-        for method in jaxbe.METHODS:
-            labels = {"test": method, "dtype": dtype, "layout": "vmap"}
-            yield Program(labels, by_vmap(method), bodies)
-            labels = labels | {"layout": "components"}
-            yield Program(labels, by_components(method), turned)
-        labels = {"test": "naive", "dtype": dtype, "layout": "vmap"}
+        for setting in settings.SETTINGS:
+            labels = {"setting": setting.name, "dtype": dtype, "layout": "vmap"}
+            yield Program(labels, settings.under_vmap(setting), bodies)
+            if setting in IN_COMPONENTS:
+                labels = labels | {"layout": "components"}
+                yield Program(labels, by_components(setting), turned)
+        labels = {"setting": NAIVE, "dtype": dtype, "layout": "vmap"}
         yield Program(labels, jax.jit(jax.vmap(naive.overlap)), bodies)
 
 
-def by_vmap(method: str) -> Callable[..., jax.Array]:
-    """The test under vmap, for bodies with arrays (N, 3) and (N, 3, 3)."""
-    return jax.jit(jax.vmap(functools.partial(jaxbe.overlap, method=method)))
+def by_components(setting: settings.Setting) -> Callable[..., Any]:
+    """The setting for arrays (3, N) and (3, 3, N), turned inside jit."""
 
+    def total(*bodies: Any) -> Any:
+        values = settings.FUNCTIONS[setting.function](*bodies, **setting.options)
+        return values.sum(), values
 
-def by_components(method: str) -> Callable[..., jax.Array]:
-    """The test for arrays (3, N) and (3, 3, N), turned inside jit."""
-
-    def overlap(*arrays: jax.Array) -> jax.Array:
+    def call(*arrays: jax.Array) -> Any:
         batch_first = [jnp.moveaxis(x, -1, 0) for x in arrays]
         box = jaxbe.Box.unchecked(*batch_first[:3])
         ellipsoid = jaxbe.Ellipsoid.unchecked(*batch_first[3:])
-        return jaxbe.overlap(box, ellipsoid, method=method)
+        if not setting.gradients:
+            return setting.call(box, ellipsoid)
+        gradients, values = jax.grad(total, argnums=(0, 1), has_aux=True)(
+            box, ellipsoid
+        )
+        return values, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), gradients)
 
-    return jax.jit(overlap)
+    return jax.jit(call)
 
 
 def component_arrays(pairs: scenes.Scene) -> tuple[jax.Array, ...]:
@@ -107,13 +132,20 @@ def component_arrays(pairs: scenes.Scene) -> tuple[jax.Array, ...]:
 
 
 def compiled_facts(program: Program, pairs: int) -> dict[str, Any]:
-    """Compile time (tracing included), memory traffic as XLA counts it, fusions."""
-    lower = lambda: program.function.lower(*program.arguments).compile()  # noqa: E731
-    compiled, seconds = timing.seconds(lower)
-    cost = compiled.cost_analysis() or {}
+    """Seconds to trace and to compile; what XLA says of the program, for a pair."""
+    traced, tracing = timing.seconds(lambda: program.function.lower(*program.arguments))
+    compiled, compiling = timing.seconds(traced.compile)
+    cost, memory = compiled.cost_analysis() or {}, compiled.memory_analysis()
     return {
-        "compile_seconds": seconds,
+        "trace_seconds": tracing,
+        "compile_seconds": compiling,
         "bytes_accessed_per_pair": cost.get("bytes accessed", float("nan")) / pairs,
+        "operations_per_pair": cost.get("flops", float("nan")) / pairs,
+        "read_and_written_per_pair": (
+            memory.argument_size_in_bytes + memory.output_size_in_bytes
+        )
+        / pairs,
+        "temporary_bytes_per_pair": memory.temp_size_in_bytes / pairs,
         "fusions": compiled.as_text().count(" fusion("),
     }
 
@@ -153,8 +185,7 @@ def measure(n: int, repeats: int, tick: Callable[[], Any]) -> dict[str, Any]:
     entries, tasks = {}, {}
     for program in programs(pairs):
         facts = compiled_facts(program, n)
-        wrong = int(np.sum(np.asarray(program()) != expected))
-        entries[program.name] = program.labels | facts | {"wrong_verdicts": wrong}
+        entries[program.name] = program.labels | facts | _wrong(program, expected)
         tasks[program.name] = _task(program)
         tick()
     yardsticks = copies()
@@ -162,7 +193,7 @@ def measure(n: int, repeats: int, tick: Callable[[], Any]) -> dict[str, Any]:
     bandwidth = {name: 2 * COPY_BYTES / times[name].median for name in yardsticks}
     yardstick = list(yardsticks)[-1]
     for name, entry in entries.items():
-        baseline = times[f"naive {entry['dtype']} vmap"].median
+        baseline = times[f"{NAIVE} {entry['dtype']} vmap"].median
         entry["times_naive"] = baseline / times[name].median
         entry |= _rates(n, entry, times[name], bandwidth[yardstick])
     return {
@@ -176,6 +207,14 @@ def measure(n: int, repeats: int, tick: Callable[[], Any]) -> dict[str, Any]:
     }
 
 
+def _wrong(program: Program, expected: np.ndarray) -> dict[str, int]:
+    """How many verdicts are wrong, of a program that gives bools."""
+    found = jax.tree.leaves(program())[0]
+    if not jnp.issubdtype(found.dtype, bool):
+        return {}
+    return {"wrong_verdicts": int(np.sum(np.asarray(found) != expected))}
+
+
 def _task(program: Program) -> timing.Task:
     task = timing.Task(program, pipelined=on_accelerator())
     return timing.long_enough(task, QUEUE_SECONDS) if on_accelerator() else task
@@ -184,39 +223,39 @@ def _task(program: Program) -> timing.Task:
 def _rates(
     n: int, entry: dict[str, Any], time: timing.Timing, bandwidth: float
 ) -> dict[str, Any]:
-    read = 30 * np.dtype(entry["dtype"]).itemsize
+    moved = entry["read_and_written_per_pair"]
     return {
         "seconds": time._asdict(),
         "pairs_per_second": n / time.median,
-        "share_of_copy": n * read / time.median / bandwidth,
+        "share_of_copy": n * moved / time.median / bandwidth,
     }
 
 
 def measure_growth(
     largest: int, repeats: int, tick: Callable[[], Any]
 ) -> list[dict[str, Any]]:
-    """Times each method under vmap on 1, 10, 100... float32 pairs, a call at a time."""
+    """Times some settings on 1, 10, 100... float32 pairs, a call at a time."""
     pool = scenes.random(min(largest, TILE)).astype(np.float32)
     points = []
     for n in _powers_of_ten(largest):
         bodies = scenes.Scene(*(np.resize(x, (n, *x.shape[1:])) for x in pool)).bodies()
-        tasks = {m: _growth_task(m, bodies) for m in jaxbe.METHODS}
+        tasks = {s.name: _growth_task(s, bodies) for s in GROWN}
         times, _, others = timing.interleaved(tasks, repeats)
         points += [
             {
                 "pairs": n,
-                "test": m,
+                "setting": name,
                 "seconds": t._asdict(),
                 "cores_busy_with_others": others,
             }
-            for m, t in times.items()
+            for name, t in times.items()
         ]
         tick()
     return points
 
 
-def _growth_task(method: str, bodies: tuple[Any, ...]) -> timing.Task:
-    call = functools.partial(by_vmap(method), *bodies)
+def _growth_task(setting: settings.Setting, bodies: tuple[Any, ...]) -> timing.Task:
+    call = functools.partial(settings.under_vmap(setting), *bodies)
     return timing.long_enough(timing.Task(call), GROWTH_SAMPLE_SECONDS)
 
 
@@ -235,7 +274,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         metavar="PAIRS",
         help="the largest batch of the growth table",
     )
-    parser.add_argument("--repeats", type=int, default=21)
+    parser.add_argument("--repeats", type=int, default=11)
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -257,7 +296,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     jax.config.update("jax_enable_x64", True)
     numbers: dict[str, Any] = {"machine": machine.describe()}
     with report.progress_bar() as progress:
-        steps = 2 * (2 * len(jaxbe.METHODS) + 1) + options.repeats
+        count = len(settings.SETTINGS) + len(IN_COMPONENTS) + 1
+        steps = len(settings.DTYPES) * count + options.repeats
         bar = progress.add_task("throughput", total=steps)
         numbers["throughput"] = measure(
             options.pairs, options.repeats, lambda: progress.advance(bar)

@@ -14,6 +14,7 @@ from benchmarks import (
     reference,
     report,
     scenes,
+    settings,
     throughput,
     timing,
 )
@@ -175,8 +176,15 @@ def test_published_counts_do_not_depend_on_chunks(monkeypatch):
     assert len(ticks) == 3
 
 
+GRADIENTS = "margin and gradients, 5 steps"
+
+
+@pytest.mark.bulk
 def test_throughput_writes_every_program(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(throughput, "COPY_BYTES", 8_000)
+    few = tuple(s for s in throughput.GROWN if s.function in ("overlap", "margin"))
+    monkeypatch.setattr(settings, "SETTINGS", few)
+    monkeypatch.setattr(throughput, "GROWN", few)
     files = {k: tmp_path / f"a.{k}" for k in ("json", "markdown", "figure")}
     files["figure"] = tmp_path / "a.png"
     sizes = ["--pairs=50", "--largest=100", "--repeats=2"]
@@ -185,11 +193,17 @@ def test_throughput_writes_every_program(tmp_path, capsys, monkeypatch):
     assert files["figure"].read_bytes().startswith(b"\x89PNG")
     numbers = json.loads(files["json"].read_text())
     programs = numbers["throughput"]["programs"]
-    assert len(programs) == 2 * (2 * len(jaxbe.METHODS) + 1)
+    names = [s.name for s in few]
+    assert names == ["overlap, closest_features", "margin, 5 steps", GRADIENTS]
+    assert [(p["setting"], p["layout"]) for p in programs] == 2 * [
+        *((name, layout) for name in names for layout in ("vmap", "components")),
+        ("naive", "vmap"),
+    ]
     assert all(p["pairs_per_second"] > 0 for p in programs)
-    assert not any(p["wrong_verdicts"] for p in programs if p["dtype"] == "float64")
-    batches = [(p["pairs"], p["test"]) for p in numbers["growth"]]
-    assert batches == [(n, m) for n in (1, 10, 100) for m in jaxbe.METHODS]
+    overlaps = [p for p in programs if p["setting"] == names[0]]
+    assert not any(p["wrong_verdicts"] for p in overlaps if p["dtype"] == "float64")
+    batches = [(p["pairs"], p["setting"]) for p in numbers["growth"]]
+    assert batches == [(n, name) for n in (1, 10, 100) for name in names]
 
 
 def test_quick_limits_the_sizes():

@@ -1,0 +1,221 @@
+"""How wrong every setting is, by kind of scene: percentiles, and wrong verdicts.
+
+Run from the repository root:
+
+    python -m benchmarks.accuracy
+
+The truth is that of the very (rounded) numbers given: verdicts by proofs and exact
+arithmetic (`tests.truth`); margins and distances in extended precision along the
+direction that most steps find in float64; gradients by most steps in float64. Errors
+of margins are relative to max(1, growth distance); of distances, to the longest length
+of the pair, the distance included; of gradients, of all 30 numbers with lengths in
+units of the longest, to the size of the true one. A depth is wrong by what it is more
+than the least one known.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks import (
+    accuracy_report,
+    machine,
+    margin_scenes,
+    reference,
+    report,
+    scenes,
+    settings,
+)
+from benchmarks.settings import Setting
+from jaxbe.distance import MAX_STEPS as MOST_DISTANCE_STEPS
+from jaxbe.growth import MAX_STEPS as MOST_MARGIN_STEPS
+from tests import truth
+
+PERCENTILES = {"50": 50, "99": 99, "99.9": 99.9, "max": 100}
+
+TOUCHING = 1e-12
+"""A verdict is judged where sqrt(q) is so far from 1; the floats decide nearer ones."""
+
+KINDS: dict[str, tuple[float, Callable[[int, int], scenes.Scene]]] = {
+    "spheres": (40, lambda n, seed: scenes.spheres(scenes.random(n, seed))),
+    "random to 4": (4, functools.partial(scenes.random, low=0.5)),
+    "random to 40": (40, scenes.random),
+    "random to 1000": (1000, functools.partial(scenes.random, low=0.002)),
+    "random to 1e5": (1e5, functools.partial(scenes.random, low=2e-5)),
+    "near touching": (40, margin_scenes.KINDS["near touching, 0.001"]),
+    "needles": (200, margin_scenes.needles),
+    "plates": (200, margin_scenes.plates),
+}
+"""Kinds of scenes: the largest spread, and a function of size and seed."""
+
+MOST = {
+    settings.MARGIN_GRADIENT: Setting("margin", ("steps", MOST_MARGIN_STEPS), True),
+    settings.DISTANCE_GRADIENT: Setting(
+        "signed_distance", ("steps", MOST_DISTANCE_STEPS), True
+    ),
+}
+"""What the truth of a gradient is taken from."""
+
+
+class Truth:
+    """What the settings are judged against, on one scene of one dtype.
+
+    Attributes:
+        scene: the pairs.
+        answers: by kind of answer.
+    """
+
+    def __init__(self, scene: scenes.Scene) -> None:
+        self.scene = scene
+        exact = scene.astype(np.float64)
+        self.answers: dict[str, np.ndarray] = {
+            settings.VERDICT: truth.overlaps(scene),
+            settings.MARGIN: margin_scenes.truth(scene),
+            settings.DISTANCE: _distance(exact),
+        }
+        for name, setting in MOST.items():
+            _, gradients = settings.under_vmap(setting)(*exact.bodies())
+            self.answers[name] = _flat(gradients, scene)
+
+
+def _distance(scene: scenes.Scene) -> np.ndarray:
+    """The signed distance, of overlapping pairs the least depth known."""
+    contacts = (_most_contact()(*scene.bodies()), _few_contact()(*scene.bodies()))
+    values = [reference.value_along(scene, np.asarray(c.normal)) for c in contacts]
+    return np.maximum(*values)
+
+
+@functools.cache
+def _most_contact() -> Callable[..., Any]:
+    return settings.under_vmap(Setting("contact", ("steps", MOST_DISTANCE_STEPS)))
+
+
+@functools.cache
+def _few_contact() -> Callable[..., Any]:
+    return settings.under_vmap(Setting("contact", ("steps", 3)))
+
+
+def _flat(gradients: Any, scene: scenes.Scene) -> np.ndarray:
+    """(n, 30): derivatives in lengths times the longest length of the pair."""
+    size = _size(scene)[:, None]
+    parts = []
+    for body in gradients:
+        for field in (f for f in vars(body) if not f.startswith("_")):
+            x = np.asarray(getattr(body, field), np.float64).reshape(scene.size, -1)
+            parts.append(x if field == "axes" else x * size)
+    return np.concatenate(parts, axis=1)
+
+
+def _size(scene: scenes.Scene) -> np.ndarray:
+    lengths = np.concatenate([scene.e, scene.a], axis=1).astype(np.float64)
+    return lengths.max(axis=1)
+
+
+def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
+    """Percentiles of errors, or counts of wrong verdicts."""
+    found = settings.under_vmap(setting)(*true.scene.bodies())
+    exact = true.answers[answer]
+    if answer == settings.VERDICT:
+        return _wrong_verdicts(_as_verdicts(setting, found), exact)
+    if setting.gradients:
+        difference = _flat(found[1], true.scene) - exact
+        error = _norm(difference) / np.maximum(_norm(exact), 1e-30)
+    else:
+        error = abs(np.asarray(found, np.float64) - exact)
+        error /= _scale(answer, exact, true.scene)
+    return {
+        "nan": int(np.isnan(error).sum()),
+        "error": {
+            name: float(np.nanpercentile(error, p)) for name, p in PERCENTILES.items()
+        },
+    }
+
+
+def _scale(answer: str, exact: np.ndarray, scene: scenes.Scene) -> np.ndarray:
+    if answer == settings.MARGIN:
+        return np.maximum(1, 1 + exact)
+    return np.maximum(_size(scene), exact)
+
+
+def _norm(x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum(x * x, axis=1))
+
+
+def _as_verdicts(setting: Setting, found: Any) -> np.ndarray:
+    """True where a user who may not miss a contact has to say "overlap"."""
+    if setting.function == "certify":
+        return np.asarray(found.verdict) >= 0
+    found = np.asarray(found)
+    return found if found.dtype == bool else ~(found > 0)
+
+
+def _wrong_verdicts(found: np.ndarray, exact: np.ndarray) -> dict[str, Any]:
+    false_overlap = int(np.sum(found & ~exact))
+    missed = int(np.sum(~found & exact))
+    return {
+        "false_overlap": false_overlap,
+        "missed": missed,
+        "wrong_share": (false_overlap + missed) / len(exact),
+        "false_overlap_share": false_overlap / max(1, int(np.sum(~exact))),
+    }
+
+
+def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, Any]]:
+    """One entry for each kind of scene, dtype, setting and answer."""
+    entries = []
+    for kind, (spread, make) in KINDS.items():
+        scene = make(pairs, seed)
+        for dtype in settings.DTYPES:
+            true = Truth(scene.astype(dtype))
+            labels = {"scene": kind, "spread": spread, "dtype": dtype}
+            entries += [
+                labels
+                | {"setting": setting.name, "answer": answer}
+                | judge(setting, answer, true)
+                for setting in settings.JUDGED
+                for answer in setting.answers
+            ]
+            tick()
+    return entries
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Reads the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--pairs", type=int, default=100_000, help="of each kind")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--quick", action="store_true", help="2000 pairs: a look, no result"
+    )
+    report.add_output_options(parser)
+    options = parser.parse_args(arguments)
+    if options.quick:
+        options.pairs = min(options.pairs, 2000)
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measures, prints, writes."""
+    options = parse(arguments)
+    jax.config.update("jax_enable_x64", True)
+    numbers: dict[str, Any] = {
+        "machine": machine.describe(),
+        "pairs": options.pairs,
+        "seed": options.seed,
+    }
+    with report.progress_bar() as progress:
+        bar = progress.add_task("accuracy", total=len(KINDS) * len(settings.DTYPES))
+        numbers["errors"] = measure(
+            options.pairs, options.seed, lambda: progress.advance(bar)
+        )
+    report.write(options, accuracy_report.text(numbers), numbers)
+
+
+if __name__ == "__main__":
+    main()
