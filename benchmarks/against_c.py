@@ -6,9 +6,9 @@ Run from the repository root:
 
 Float32, as many threads as there are cores. The loop (`benchmarks/c_loop.c`) is built
 with the system's compiler and reads the very arrays that JAX reads, component after
-component. All run in turn (see `benchmarks.timing`), twice: as the C library's allocator
-comes, which maps fresh memory for every large result so that the kernel's page faults
-count, and with freed memory kept for the next call.
+component. All run in turn (see `benchmarks.timing`), twice: as the C library's
+allocator comes, which maps fresh memory for every large result so that the kernel's
+page faults count, and with freed memory kept for the next call.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def c_name(threads: int) -> str:
 def jax_tasks(
     pairs: scenes.Scene, tick: Callable[[], Any]
 ) -> tuple[dict[str, timing.Task], dict[str, float]]:
-    """jaxbe's functions in both layouts, and the seconds each took to compile."""
+    """The functions of jaxbe in both layouts, and the seconds each took to compile."""
     tasks, seconds = {}, {}
     for name, (function, _) in FUNCTIONS.items():
         for layout, (program, arguments) in layouts.programs(function, pairs).items():
