@@ -7,6 +7,7 @@ pairs is contiguous in memory.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -20,11 +21,13 @@ from benchmarks import scenes
 LAYOUTS = ("components", "vmap")
 
 
+@functools.cache
 def by_vmap(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function of one pair, jitted, for bodies with a leading axis."""
     return jax.jit(jax.vmap(function))
 
 
+@functools.cache
 def by_components(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same for six arrays with the batch in the last axis; results likewise."""
 

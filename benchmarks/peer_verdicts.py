@@ -1,0 +1,189 @@
+"""Who is wrong: the verdicts and distances of jaxbe and its peers, judged exactly.
+
+Every verdict is judged on the floats that its system was given: float64 numbers, or the
+same rounded to float32. (Systems that take quaternions or shape matrices get them
+converted in float64, which moves a pair by some 1e-16.) Touching counts as overlap.
+Where two systems differ the exact rational oracle settles it, and the pair is listed.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxbe
+from benchmarks import reference, scenes
+from benchmarks.peer_adapters import Answer
+from tests import oracle, truth
+
+DTYPES = ("float64", "float32")
+
+BANDS = {"float32": (1e-5, 1e-4), "float64": (1e-12, 1e-10)}
+"""The README's bounds of |sqrt(q) - 1| within which rounding may decide, for spreads
+to 40 and to 1000; beyond, the latter in proportion to the spread."""
+
+REFERENCE_STEPS = 12
+"""Steps of the distance whose normals the reference takes."""
+
+System = tuple[str, str, Answer]
+"""A system's name, the dtype of what it was given, and what it said."""
+
+
+def band(spread: float, dtype: str) -> float:
+    """How far from touching, as |sqrt(q) - 1|, rounding may make a verdict wrong."""
+    to_40, to_1000 = BANDS[dtype]
+    return to_40 if spread <= 40 else to_1000 * max(1.0, spread / 1000)
+
+
+def judge(kind: str, pairs: scenes.Scene, systems: Iterable[System]) -> dict[str, Any]:
+    """Judges all systems on the same pairs.
+
+    Args:
+        kind: what the pairs are called.
+        pairs: in float64.
+        systems: their answers.
+
+    Returns:
+        `systems`: by name the number of wrong verdicts within and outside the band,
+        the largest |sqrt(q) - 1| of a wrong one, answers that are NaN, and the largest
+        error of the distances apart; `disagreements`: see `disagreements`.
+    """
+    systems = list(systems)
+    given = {dtype: pairs.astype(dtype) for dtype in DTYPES}
+    true = {dtype: truth.overlaps(given[dtype]) for dtype in DTYPES}
+    distances = {dtype: apart_distance(given[dtype], true[dtype]) for dtype in DTYPES}
+    judged = {
+        name: verdict_errors(given[dtype], true[dtype], answer.overlap)
+        | distance_errors(distances[dtype], answer.distance)
+        for name, dtype, answer in systems
+    }
+    return {
+        "kind": kind,
+        "pairs": pairs.size,
+        "overlapping": float(true["float64"].mean()),
+        "systems": judged,
+        "disagreements": disagreements(kind, given, true, systems),
+    }
+
+
+def verdict_errors(
+    given: scenes.Scene, true: np.ndarray, verdicts: np.ndarray
+) -> dict[str, Any]:
+    """Wrong verdicts, within the stated band and outside, and the furthest."""
+    wrong = np.flatnonzero(verdicts != true)
+    dtype, spread = given.C.dtype.name, given.spread
+    far = [truth.distance_from_touching(given, i) for i in wrong]
+    outside = sum(
+        bool(x > band(spread[i], dtype)) for i, x in zip(wrong, far, strict=True)
+    )
+    return {
+        "wrong_within_band": len(wrong) - outside,
+        "wrong_outside_band": outside,
+        "missed_overlaps": int(np.sum(true[wrong])),
+        "furthest_wrong": max(far, default=0.0),
+    }
+
+
+def apart_distance(given: scenes.Scene, overlapping: np.ndarray) -> np.ndarray:
+    """The distance of pairs that are apart, NaN where they overlap.
+
+    The value of the direction that many steps of jaxbe find in float64, computed in
+    extended precision by none of its formulas. At the best direction an error of the
+    direction counts as its square, and no direction gives more than the distance.
+    """
+    wide = given.astype(np.float64)
+    normals = np.asarray(_normals()(*wide.bodies()))
+    return np.where(overlapping, np.nan, reference.value_along(wide, normals))
+
+
+@functools.cache
+def _normals() -> Any:
+    return jax.jit(lambda *bodies: jaxbe.contact(*bodies, steps=REFERENCE_STEPS).normal)
+
+
+def distance_errors(true: np.ndarray, distance: np.ndarray | None) -> dict[str, Any]:
+    """The largest error in metres of pairs apart; and how many answers are NaN."""
+    if distance is None:
+        return {}
+    apart = np.isfinite(true)
+    # What a system takes for an overlap is counted among the verdicts.
+    compared = apart & np.isfinite(distance) & (distance > 0)
+    error = abs(distance - true)[compared]
+    return {
+        "distances_compared": int(compared.sum()),
+        "distances_nan": int(np.sum(np.isnan(distance))),
+        "largest_distance_error": float(error.max(initial=0.0)),
+    }
+
+
+def disagreements(
+    kind: str,
+    given: Mapping[str, scenes.Scene],
+    true: Mapping[str, np.ndarray],
+    systems: Iterable[System],
+) -> list[dict[str, Any]]:
+    """Every pair on which two systems differ, settled by the exact oracle.
+
+    Returns:
+        A dictionary each: the kind and the pair's place in it; its numbers C, U, e, K,
+        V, a, row by row, which read back to the very float64 numbers; the truth of
+        these, and of the same rounded to float32, and how far both are from touching;
+        who said overlap, who said apart, who was wrong, and who of these outside the
+        band.
+    """
+    systems = list(systems)
+    said = np.array([answer.overlap for _, _, answer in systems])
+    differ = np.flatnonzero(np.any(said != said[:1], axis=0)) if systems else []
+    entries = []
+    for i in differ:
+        settled = {d: oracle.overlaps(truth.exact(given[d], i)) for d in DTYPES}
+        assert all(settled[d] == true[d][i] for d in DTYPES)
+        far = {d: truth.distance_from_touching(given[d], i) for d in DTYPES}
+        beyond = {d: far[d] > band(given[d].spread[i], d) for d in DTYPES}
+        names = [(name, bool(a.overlap[i]), dtype) for name, dtype, a in systems]
+        entries.append(
+            {
+                "kind": kind,
+                "index": int(i),
+                "pair": " ".join(repr(float(x)) for x in flat(given["float64"], i)),
+                "truth": settled,
+                "distance_from_touching": far,
+                "overlap": [name for name, verdict, _ in names if verdict],
+                "apart": [name for name, verdict, _ in names if not verdict],
+                "wrong": [n for n, v, d in names if v != settled[d]],
+                "wrong_outside_band": [
+                    n for n, v, d in names if v != settled[d] and beyond[d]
+                ],
+            }
+        )
+    return entries
+
+
+def flat(pairs: scenes.Scene, i: int) -> np.ndarray:
+    """The 30 numbers of a pair."""
+    return np.concatenate([x[i].ravel() for x in pairs])
+
+
+def counts(entries: Iterable[Mapping[str, Any]]) -> dict[str, int]:
+    """How the disagreements were settled.
+
+    `both_right`: float32 rounding moved the pair across touching, and each system is
+    right about the floats it was given. A pair may count in several.
+    """
+    entries = list(entries)
+
+    def count(key: str, ours: bool) -> int:
+        hit = [any(n.startswith("jaxbe") == ours for n in e[key]) for e in entries]
+        return sum(hit)
+
+    return {
+        "all": len(entries),
+        "a_peer_wrong": count("wrong", False),
+        "jaxbe_wrong": count("wrong", True),
+        "jaxbe_wrong_outside_band": count("wrong_outside_band", True),
+        "both_right": sum(not e["wrong"] for e in entries),
+    }
