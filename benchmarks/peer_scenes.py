@@ -84,7 +84,7 @@ KINDS: dict[str, Callable[[int, int], scenes.Scene]] = {
         for growth in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
     },
     **{
-        f"touching a {feature}": functools.partial(touching, feature=feature)
+        f"touching, {feature}": functools.partial(touching, feature=feature)
         for feature in DIRECTIONS
     },
 }

@@ -15,6 +15,14 @@ OURS = {
 """Columns: how many times as fast is this function of jaxbe?"""
 
 
+TARGETS = {
+    "ellipsoid-tree, C++": 8,
+    "coal.collide": 100,
+    "coal.distance": 100,
+}
+"""How many times as fast float32 `jaxbe.overlap` is meant to be."""
+
+
 def text(numbers: Mapping[str, Any]) -> str:
     """The whole report."""
     speed, kinds = numbers["speed"], numbers["correctness"]
@@ -25,12 +33,13 @@ def text(numbers: Mapping[str, Any]) -> str:
         failures(speed, kinds),
         "## Speed on one core",
         f"The same random pairs for all, of which slow systems get the first; medians "
-        f"of {speed['repeats']} interleaved rounds of {speed['rounds']}, in which others "
+        f"of {speed['repeats']} interleaved rounds of {speed['rounds']}; others "
         f"kept at most {speed['cores_busy_with_others']:.2f} cores busy. Columns of "
         "factors: how many times as fast `jaxbe.overlap` is. Where Python loops over "
         'the pairs, "less the loop" is without the time of the same calls on two '
         "spheres, an upper estimate of what a loop in C would reach.",
         speed_table(speed["systems"]),
+        targets(speed["systems"]),
         "## Wrong verdicts",
         f"{kinds[0]['pairs']:,} pairs of each kind, judged exactly on the floats "
         'given, touching counted as overlap. "3 + 20": 3 wrong outside the band around '
@@ -84,6 +93,23 @@ def _with_dtype(name: str, dtype: str) -> str:
     return name if name.endswith(dtype) else f"{name}, {dtype}"
 
 
+def targets(systems: Mapping[str, Any]) -> str:
+    """How many times as fast as certain peers, beside what is wanted."""
+    rows = []
+    for peer, wanted in TARGETS.items():
+        if peer not in systems:
+            continue
+        rates = [systems[n]["pairs_per_second"] for n in list(OURS.values())[:2]]
+        s = systems[peer]
+        cells = [f"{rate / s['pairs_per_second']:.0f}" for rate in rates]
+        net = s.get("pairs_per_second_less_spheres")
+        cells += [f"{rate / net:.0f}" if net else "" for rate in rates]
+        rows.append([peer, f"{wanted}", *cells])
+    header = ["times as fast as", "target", "components", "vmap"]
+    header += ["components, less its loop", "vmap, less its loop"]
+    return report.table(header, rows) if rows else ""
+
+
 def verdict_table(kinds: Sequence[Mapping[str, Any]]) -> str:
     """A row a system, a column a kind."""
     return _by_system(kinds, _wrong)
@@ -117,14 +143,8 @@ def _error(judged: Mapping[str, Any] | None) -> str:
 
 def disagreement_table(kinds: Sequence[Mapping[str, Any]]) -> str:
     """A row a kind."""
-    header = [
-        "kind",
-        "pairs",
-        "disagreements",
-        "a peer wrong",
-        "jaxbe wrong",
-        "neither",
-    ]
+    header = ["kind", "pairs", "disagreements", "a peer wrong", "jaxbe wrong"]
+    header += ["outside the band", "neither"]
     rows = [
         [k["kind"], f"{k['pairs']:,}"]
         + [f"{n:,}" for n in peer_verdicts.counts(k["disagreements"]).values()]
