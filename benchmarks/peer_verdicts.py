@@ -55,10 +55,11 @@ def judge(kind: str, pairs: scenes.Scene, systems: Iterable[System]) -> dict[str
     systems = list(systems)
     given = {dtype: pairs.astype(dtype) for dtype in DTYPES}
     true = {dtype: truth.overlaps(given[dtype]) for dtype in DTYPES}
-    distances = {dtype: apart_distance(given[dtype], true[dtype]) for dtype in DTYPES}
+    told = {dtype for _, dtype, answer in systems if answer.distance is not None}
+    distances = {dtype: apart_distance(given[dtype], true[dtype]) for dtype in told}
     judged = {
         name: verdict_errors(given[dtype], true[dtype], answer.overlap)
-        | distance_errors(distances[dtype], answer.distance)
+        | distance_errors(distances.get(dtype), answer.distance)
         for name, dtype, answer in systems
     }
     return {
@@ -105,9 +106,11 @@ def _normals() -> Any:
     return jax.jit(lambda *bodies: jaxbe.contact(*bodies, steps=REFERENCE_STEPS).normal)
 
 
-def distance_errors(true: np.ndarray, distance: np.ndarray | None) -> dict[str, Any]:
+def distance_errors(
+    true: np.ndarray | None, distance: np.ndarray | None
+) -> dict[str, Any]:
     """The largest error in metres of pairs apart; and how many answers are NaN."""
-    if distance is None:
+    if true is None or distance is None:
         return {}
     apart = np.isfinite(true)
     # What a system takes for an overlap is counted among the verdicts.
