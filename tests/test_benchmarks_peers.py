@@ -24,10 +24,10 @@ from benchmarks.peer_adapters import Adapter, Answer, Peer
 from tests import oracle, truth
 
 
-@pytest.fixture
-def loop(tmp_path):
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
     try:
-        return c_loop.build(tmp_path)
+        return c_loop.build(tmp_path_factory.mktemp("loop"))
     except c_loop.BuildError as error:
         pytest.skip(str(error))
 
