@@ -135,13 +135,10 @@ def python_fcl(pairs: scenes.Scene, _: Path) -> Iterator[Peer]:
 
     bodies = objects(lambda e: fcl.Box(*(2 * e)), lambda a: fcl.Ellipsoid(*a))
     balls = objects(lambda _: fcl.Sphere(0.1), lambda _: fcl.Sphere(0.1))
+    to_collide, to_measure = fcl.CollisionRequest(), fcl.DistanceRequest()
     make = {
-        "collide": lambda o, p: fcl.collide(
-            o, p, fcl.CollisionRequest(), fcl.CollisionResult()
-        ),
-        "distance": lambda o, p: fcl.distance(
-            o, p, fcl.DistanceRequest(), fcl.DistanceResult()
-        ),
+        "collide": lambda o, p: fcl.collide(o, p, to_collide, fcl.CollisionResult()),
+        "distance": lambda o, p: fcl.distance(o, p, to_measure, fcl.DistanceResult()),
     }
     for name, read in (("collide", overlap), ("distance", signed)):
         run, spheres = (

@@ -9,7 +9,7 @@ Where two systems differ the exact rational oracle settles it, and the pair is l
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -67,7 +67,7 @@ def judge(kind: str, pairs: scenes.Scene, systems: Iterable[System]) -> dict[str
         "pairs": pairs.size,
         "overlapping": float(true["float64"].mean()),
         "systems": judged,
-        "disagreements": disagreements(kind, given, true, systems),
+        "disagreements": disagreements(given, true, systems),
     }
 
 
@@ -124,46 +124,51 @@ def distance_errors(
 
 
 def disagreements(
-    kind: str,
     given: Mapping[str, scenes.Scene],
     true: Mapping[str, np.ndarray],
-    systems: Iterable[System],
+    systems: Sequence[System],
 ) -> list[dict[str, Any]]:
     """Every pair on which two systems differ, settled by the exact oracle.
 
     Returns:
-        A dictionary each: the kind and the pair's place in it; its numbers C, U, e, K,
-        V, a, row by row, which read back to the very float64 numbers; the truth of
-        these, and of the same rounded to float32, and how far both are from touching;
-        who said overlap, who said apart, who was wrong, and who of these outside the
-        band.
+        A dictionary each. `index`: the pair's place. `pair`: its numbers C, U, e, K, V,
+        a, row by row, which read back to the very float64 numbers. `truth`: of these,
+        and of the same rounded to float32; `from_touching`: |sqrt(q) - 1| of both. And
+        one digit a system, in the order of `systems`: `overlap`, 1 for who said so;
+        `wrong`, 1 for who was; `outside_band`, 1 for who was so far from touching.
     """
-    systems = list(systems)
     said = np.array([answer.overlap for _, _, answer in systems])
-    differ = np.flatnonzero(np.any(said != said[:1], axis=0)) if systems else []
-    entries = []
-    for i in differ:
-        settled = {d: oracle.overlaps(truth.exact(given[d], i)) for d in DTYPES}
-        assert all(settled[d] == true[d][i] for d in DTYPES)
-        far = {d: truth.distance_from_touching(given[d], i) for d in DTYPES}
-        beyond = {d: far[d] > band(given[d].spread[i], d) for d in DTYPES}
-        names = [(name, bool(a.overlap[i]), dtype) for name, dtype, a in systems]
-        entries.append(
-            {
-                "kind": kind,
-                "index": int(i),
-                "pair": " ".join(repr(float(x)) for x in flat(given["float64"], i)),
-                "truth": settled,
-                "distance_from_touching": far,
-                "overlap": [name for name, verdict, _ in names if verdict],
-                "apart": [name for name, verdict, _ in names if not verdict],
-                "wrong": [n for n, v, d in names if v != settled[d]],
-                "wrong_outside_band": [
-                    n for n, v, d in names if v != settled[d] and beyond[d]
-                ],
-            }
-        )
-    return entries
+    differ = np.flatnonzero(np.any(said != said[:1], axis=0)) if systems else ()
+    return [_settled(given, true, systems, said[:, i], int(i)) for i in differ]
+
+
+def _settled(
+    given: Mapping[str, scenes.Scene],
+    true: Mapping[str, np.ndarray],
+    systems: Sequence[System],
+    said: np.ndarray,
+    i: int,
+) -> dict[str, Any]:
+    settled = {d: oracle.overlaps(truth.exact(given[d], i)) for d in DTYPES}
+    assert all(settled[d] == true[d][i] for d in DTYPES)
+    far = {d: truth.distance_from_touching(given[d], i) for d in DTYPES}
+    beyond = {d: bool(far[d] > band(given[d].spread[i], d)) for d in DTYPES}
+    dtypes = [dtype for _, dtype, _ in systems]
+    wrong = [bool(v != settled[d]) for v, d in zip(said, dtypes, strict=True)]
+    outside = [w and beyond[d] for w, d in zip(wrong, dtypes, strict=True)]
+    return {
+        "index": i,
+        "pair": " ".join(repr(float(x)) for x in flat(given["float64"], i)),
+        "truth": settled,
+        "from_touching": far,
+        "overlap": _digits(said),
+        "wrong": _digits(wrong),
+        "outside_band": _digits(outside),
+    }
+
+
+def _digits(flags: Iterable[Any]) -> str:
+    return "".join(str(int(flag)) for flag in flags)
 
 
 def flat(pairs: scenes.Scene, i: int) -> np.ndarray:
@@ -171,22 +176,22 @@ def flat(pairs: scenes.Scene, i: int) -> np.ndarray:
     return np.concatenate([x[i].ravel() for x in pairs])
 
 
-def counts(entries: Iterable[Mapping[str, Any]]) -> dict[str, int]:
-    """How the disagreements were settled.
+def counts(judged: Mapping[str, Any]) -> dict[str, int]:
+    """How the disagreements on one kind were settled.
 
     `both_right`: float32 rounding moved the pair across touching, and each system is
     right about the floats it was given. A pair may count in several.
     """
-    entries = list(entries)
+    entries, names = judged["disagreements"], list(judged["systems"])
 
     def count(key: str, ours: bool) -> int:
-        hit = [any(n.startswith("jaxbe") == ours for n in e[key]) for e in entries]
-        return sum(hit)
+        chosen = [i for i, n in enumerate(names) if n.startswith("jaxbe") == ours]
+        return sum(any(e[key][i] == "1" for i in chosen) for e in entries)
 
     return {
         "all": len(entries),
         "a_peer_wrong": count("wrong", False),
         "jaxbe_wrong": count("wrong", True),
-        "jaxbe_wrong_outside_band": count("wrong_outside_band", True),
-        "both_right": sum(not e["wrong"] for e in entries),
+        "jaxbe_wrong_outside_band": count("outside_band", True),
+        "both_right": sum("1" not in e["wrong"] for e in entries),
     }

@@ -191,7 +191,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--pairs", type=int, default=1_000_000, help="timed; slow systems get fewer"
     )
     parser.add_argument(
-        "--judged", type=int, default=1000, metavar="PAIRS", help="judged, of each kind"
+        "--judged", type=int, default=300, metavar="PAIRS", help="judged, of each kind"
     )
     parser.add_argument("--repeats", type=int, default=11)
     parser.add_argument(

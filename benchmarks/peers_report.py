@@ -45,7 +45,8 @@ def text(numbers: Mapping[str, Any]) -> str:
         'given, touching counted as overlap. "3 + 20": 3 wrong outside the band around '
         "touching that the README states for the dtype (float32: |sqrt(q) - 1| up to "
         "1e-5 at spreads to 40, 1e-4 to 1000; float64: 1e-12, 1e-10; in proportion to "
-        "larger spreads), 20 within.",
+        "larger spreads), 20 within. Many wrong on pairs that touch exactly can be a "
+        "convention: that system takes touching for apart.",
         verdict_table(kinds),
         "## Errors of distances",
         "Largest error in metres, of pairs that are apart and found so.",
@@ -147,7 +148,7 @@ def disagreement_table(kinds: Sequence[Mapping[str, Any]]) -> str:
     header += ["outside the band", "neither"]
     rows = [
         [k["kind"], f"{k['pairs']:,}"]
-        + [f"{n:,}" for n in peer_verdicts.counts(k["disagreements"]).values()]
+        + [f"{n:,}" for n in peer_verdicts.counts(k).values()]
         for k in kinds
     ]
     return report.table(header, rows)
