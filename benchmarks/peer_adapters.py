@@ -82,16 +82,14 @@ def in_python(calls: Iterable[Callable[[], Any]]) -> Callable[[], list[Any]]:
     return lambda: [call() for call in ready]
 
 
-def proper(axes: np.ndarray) -> np.ndarray:
-    """Axes of the same body that make a rotation."""
-    return axes * np.array([1, 1, np.sign(np.linalg.det(axes))])
-
-
 def coal(pairs: scenes.Scene, _: Path) -> Iterator[Peer]:
     """Coal's collision test and its signed distance."""
     library = importlib.import_module("coal")
     poses = [
-        (library.Transform3s(proper(U), C), library.Transform3s(proper(V), K))
+        (
+            library.Transform3s(scenes.proper(U), C),
+            library.Transform3s(scenes.proper(V), K),
+        )
         for C, U, _, K, V, _ in zip(*pairs, strict=True)
     ]
     bodies = [
@@ -127,8 +125,8 @@ def python_fcl(pairs: scenes.Scene, _: Path) -> Iterator[Peer]:
     def objects(box: Any, ellipsoid: Any) -> list[tuple[Any, Any]]:
         return [
             (
-                fcl.CollisionObject(box(e), fcl.Transform(proper(U), C)),
-                fcl.CollisionObject(ellipsoid(a), fcl.Transform(proper(V), K)),
+                fcl.CollisionObject(box(e), fcl.Transform(scenes.proper(U), C)),
+                fcl.CollisionObject(ellipsoid(a), fcl.Transform(scenes.proper(V), K)),
             )
             for C, U, e, K, V, a in zip(*pairs, strict=True)
         ]
@@ -173,7 +171,7 @@ def mujoco_model(pairs: scenes.Scene, round_bodies: bool = False) -> tuple[Any, 
         bodies = (("b", boxes, C, U, e), ("e", ellipsoids, K, V, a))
         for letter, kind, center, axes, lengths in bodies:
             quaternion = np.zeros(4)
-            mujoco.mju_mat2Quat(quaternion, proper(axes).ravel())
+            mujoco.mju_mat2Quat(quaternion, scenes.proper(axes).ravel())
             spec.worldbody.add_body(pos=center, quat=quaternion).add_geom(
                 name=f"{letter}{i}",
                 type=kind,

@@ -16,9 +16,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,6 +25,7 @@ import jax
 
 from benchmarks import (
     machine,
+    one_core,
     peer_adapters,
     peer_scenes,
     peer_verdicts,
@@ -36,9 +34,6 @@ from benchmarks import (
     scenes,
     timing,
 )
-from benchmarks.contact_speed import CHILD
-from benchmarks.margin_one_core import pin_to_one_core
-from benchmarks.margin_speed import ONE_CORE_FLAGS
 from benchmarks.peer_adapters import ADAPTERS, Adapter, Answer, Peer
 
 SEED = 6
@@ -214,15 +209,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures, prints, writes; in a process of one core."""
     options = parse(arguments)
-    if CHILD not in os.environ:
-        command = [sys.executable, "-m", "benchmarks.peers"]
-        given = sys.argv[1:] if arguments is None else list(arguments)
-        flags = " ".join((os.environ.get("XLA_FLAGS", ""), *ONE_CORE_FLAGS)).strip()
-        environment = os.environ | {"XLA_FLAGS": flags, CHILD: "1"}
-        environment["JAX_PLATFORMS"] = "cpu"
-        subprocess.run([*command, *given], env=environment, check=True)
+    if one_core.done_by_child("benchmarks.peers", arguments):
         return
-    pin_to_one_core()
     jax.config.update("jax_enable_x64", True)
     numbers = measure(options)
     report.write(options, peers_report.text(numbers), numbers)
