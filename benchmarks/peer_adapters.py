@@ -8,9 +8,11 @@ the pairs, the same loop over two spheres tells how much of the time that is.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import importlib.metadata
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -220,20 +222,21 @@ def mujoco_c(pairs: scenes.Scene, _: Path) -> Iterator[Peer]:
 
 def mujoco_warp(pairs: scenes.Scene, _: Path) -> Iterator[Peer]:
     """MuJoCo Warp's collisions, on the CPU."""
-    wp = importlib.import_module("warp")
-    # It prints on stdout, where the report goes.
-    wp.config.quiet = True
-    mjw = importlib.import_module("mujoco_warp")
     model, data = mujoco_model(pairs)
-    with wp.ScopedDevice("cpu"):
-        on_device = mjw.put_model(model)
-        state = mjw.put_data(model, data, naconmax=8 * pairs.size, njmax=1)
-        mjw.kinematics(on_device, state)
 
     def run() -> None:
         with wp.ScopedDevice("cpu"):
             mjw.collision(on_device, state)
             wp.synchronize()
+
+    # It talks on stdout, where the report goes, while it compiles.
+    with contextlib.redirect_stdout(sys.stderr):
+        mjw, wp = (importlib.import_module(name) for name in ("mujoco_warp", "warp"))
+        with wp.ScopedDevice("cpu"):
+            on_device = mjw.put_model(model)
+            state = mjw.put_data(model, data, naconmax=8 * pairs.size, njmax=1)
+            mjw.kinematics(on_device, state)
+        run()
 
     def read(_: Any) -> Answer:
         count = int(state.nacon.numpy()[0])
