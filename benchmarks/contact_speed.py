@@ -13,9 +13,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -24,34 +21,12 @@ import mujoco
 import numpy as np
 
 import jaxbe
-from benchmarks import machine, report, scenes, timing
-from benchmarks.margin_one_core import pin_to_one_core
-from benchmarks.margin_speed import ONE_CORE_FLAGS
-
-CHILD = "JAXBE_BENCHMARK_ON_ONE_CORE"
+from benchmarks import machine, one_core, peer_adapters, report, scenes, timing
 
 
 def mujoco_loop(pairs: scenes.Scene) -> Callable[[], Any]:
     """`mj_collision` of a model that has these pairs and no others."""
-    spec = mujoco.MjSpec()
-    for i, (C, U, e, K, V, a) in enumerate(zip(*pairs, strict=True)):
-        for kind, center, axes, lengths in (
-            ("BOX", C, U, e),
-            ("ELLIPSOID", K, V, a),
-        ):
-            quaternion = np.zeros(4)
-            mujoco.mju_mat2Quat(quaternion, axes.ravel())
-            spec.worldbody.add_body(pos=center, quat=quaternion).add_geom(
-                name=f"{kind}{i}",
-                type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
-                size=lengths,
-                contype=0,
-                conaffinity=0,
-            )
-        spec.add_pair(geomname1=f"ELLIPSOID{i}", geomname2=f"BOX{i}")
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = peer_adapters.mujoco_model(pairs)
     return functools.partial(mujoco.mj_collision, model, data)
 
 
@@ -115,15 +90,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures, prints, writes; in a process of one core."""
     options = parse(arguments)
-    if CHILD not in os.environ:
-        command = [sys.executable, "-m", "benchmarks.contact_speed"]
-        given = sys.argv[1:] if arguments is None else list(arguments)
-        flags = " ".join((os.environ.get("XLA_FLAGS", ""), *ONE_CORE_FLAGS)).strip()
-        environment = os.environ | {"XLA_FLAGS": flags, CHILD: "1"}
-        environment["JAX_PLATFORMS"] = "cpu"
-        subprocess.run([*command, *given], env=environment, check=True)
+    if one_core.done_by_child("benchmarks.contact_speed", arguments):
         return
-    pin_to_one_core()
     numbers = measure(options.pairs, options.peers, options.repeats)
     report.write(options, text(numbers), numbers)
 

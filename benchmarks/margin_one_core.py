@@ -80,15 +80,10 @@ def _coal_pair(
 ) -> tuple[Any, ...]:
     return (
         coal.Box(*(2 * e)),
-        coal.Transform3s(_proper(U), C),
+        coal.Transform3s(scenes.proper(U), C),
         coal.Ellipsoid(*a),
-        coal.Transform3s(_proper(V), K),
+        coal.Transform3s(scenes.proper(V), K),
     )
-
-
-def _proper(axes: np.ndarray) -> np.ndarray:
-    """Axes of the same body that make a rotation."""
-    return axes * np.array([1, 1, np.sign(np.linalg.det(axes))])
 
 
 def measure(n: int, coal_pairs: int, repeats: int) -> dict[str, Any]:

@@ -106,6 +106,11 @@ def rotations(wxyz: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
+def proper(axes: np.ndarray) -> np.ndarray:
+    """Axes of the same body that make a rotation."""
+    return axes * np.array([1, 1, np.sign(np.linalg.det(axes))])
+
+
 def near_touching(scene: Scene, seed: int = 1, growth: float = 1e-9) -> Scene:
     """The ellipsoids moved along K - C to a growth distance within 1 +- growth."""
     alpha = reference.growth_distance(scene)
