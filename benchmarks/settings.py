@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 
 import jaxbe
+from benchmarks import layouts
 from jaxbe import lower_bound
 from jaxbe.distance import DEFAULT_STEPS as DISTANCE_STEPS
 from jaxbe.margin import DEFAULT_STEPS as MARGIN_STEPS
@@ -118,7 +119,7 @@ class Setting(NamedTuple):
 @functools.cache
 def under_vmap(setting: Setting) -> Callable[..., Any]:
     """The jitted function of bodies with arrays (N, 3) and (N, 3, 3)."""
-    return jax.jit(jax.vmap(setting.call))
+    return layouts.by_vmap(setting.call)
 
 
 def _by_steps(

@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import jaxbe
 from benchmarks import (
+    layouts,
     machine,
     naive,
     reference,
@@ -92,43 +92,16 @@ def programs(pairs: scenes.Scene) -> Iterator[Program]:
     """Every setting by dtype, some by layout, and the naive test under vmap."""
     for dtype in settings.DTYPES:
         typed = scenes.Scene(*(x.astype(dtype) for x in pairs))
-        bodies, turned = typed.bodies(), component_arrays(typed)
+        bodies, turned = typed.bodies(), layouts.component_arrays(typed)
         for setting in settings.SETTINGS:
             labels = {"setting": setting.name, "dtype": dtype, "layout": "vmap"}
             yield Program(labels, settings.under_vmap(setting), bodies)
             if setting in IN_COMPONENTS:
                 labels = labels | {"layout": "components"}
-                yield Program(labels, by_components(setting), turned)
+                function = layouts.by_components(setting.call)
+                yield Program(labels, function, turned)
         labels = {"setting": NAIVE, "dtype": dtype, "layout": "vmap"}
-        yield Program(labels, jax.jit(jax.vmap(naive.overlap)), bodies)
-
-
-def by_components(setting: settings.Setting) -> Callable[..., Any]:
-    """The setting for arrays (3, N) and (3, 3, N), turned inside jit."""
-
-    def total(*bodies: Any) -> Any:
-        values = settings.FUNCTIONS[setting.function](*bodies, **setting.options)
-        return values.sum(), values
-
-    def call(*arrays: jax.Array) -> Any:
-        batch_first = [jnp.moveaxis(x, -1, 0) for x in arrays]
-        box = jaxbe.Box.unchecked(*batch_first[:3])
-        ellipsoid = jaxbe.Ellipsoid.unchecked(*batch_first[3:])
-        if not setting.gradients:
-            return setting.call(box, ellipsoid)
-        gradients, values = jax.grad(total, argnums=(0, 1), has_aux=True)(
-            box, ellipsoid
-        )
-        return values, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), gradients)
-
-    return jax.jit(call)
-
-
-def component_arrays(pairs: scenes.Scene) -> tuple[jax.Array, ...]:
-    """The pairs with each component contiguous in memory."""
-    return tuple(
-        jnp.asarray(np.ascontiguousarray(np.moveaxis(x, 0, -1))) for x in pairs
-    )
+        yield Program(labels, layouts.by_vmap(naive.overlap), bodies)
 
 
 def compiled_facts(program: Program, pairs: int) -> dict[str, Any]:
