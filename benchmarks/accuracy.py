@@ -9,8 +9,8 @@ arithmetic (`tests.truth`); margins and distances in extended precision along th
 direction that most steps find in float64; gradients by most steps in float64. Errors
 of margins are relative to max(1, growth distance); of distances, to the longest length
 of the pair, the distance included; of gradients, of all 30 numbers with lengths in
-units of the longest, to the size of the true one. A depth is wrong by what it is more
-than the least one known.
+units of the longest, to the size of the true one. Distances and their gradients are
+those of pairs apart; of overlapping ones the depth is compared with the least known.
 """
 
 from __future__ import annotations
@@ -39,9 +39,6 @@ from tests import truth
 
 PERCENTILES = {"50": 50, "99": 99, "99.9": 99.9, "max": 100}
 
-TOUCHING = 1e-12
-"""A verdict is judged where sqrt(q) is so far from 1; the floats decide nearer ones."""
-
 KINDS: dict[str, tuple[float, Callable[[int, int], scenes.Scene]]] = {
     "spheres": (40, lambda n, seed: scenes.spheres(scenes.random(n, seed))),
     "random to 4": (4, functools.partial(scenes.random, low=0.5)),
@@ -63,6 +60,9 @@ MOST = {
 """What the truth of a gradient is taken from."""
 
 
+DISTANCES = (settings.DISTANCE, settings.DEPTH)
+
+
 class Truth:
     """What the settings are judged against, on one scene of one dtype.
 
@@ -77,11 +77,18 @@ class Truth:
         self.answers: dict[str, np.ndarray] = {
             settings.VERDICT: truth.overlaps(scene),
             settings.MARGIN: margin_scenes.truth(scene),
-            settings.DISTANCE: _distance(exact),
         }
+        self.answers |= dict.fromkeys(DISTANCES, _distance(exact))
         for name, setting in MOST.items():
             _, gradients = settings.under_vmap(setting)(*exact.bodies())
             self.answers[name] = _flat(gradients, scene)
+
+    def judged(self, answer: str) -> np.ndarray:
+        """Which pairs count."""
+        apart = self.answers[settings.DISTANCE] > 0
+        if answer in (settings.DISTANCE, settings.DISTANCE_GRADIENT):
+            return apart
+        return ~apart if answer == settings.DEPTH else np.ones_like(apart)
 
 
 def _distance(scene: scenes.Scene) -> np.ndarray:
@@ -129,6 +136,7 @@ def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
     else:
         error = abs(np.asarray(found, np.float64) - exact)
         error /= _scale(answer, exact, true.scene)
+    error = error[true.judged(answer)]
     return {
         "nan": int(np.isnan(error).sum()),
         "error": {

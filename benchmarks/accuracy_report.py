@@ -27,8 +27,9 @@ def text(numbers: dict[str, Any]) -> str:
 {numbers["pairs"]:,} pairs of each kind (seed {numbers["seed"]}), judged on the very \
 numbers given. Errors of margins are relative to max(1, growth distance), of distances \
 to the longest length of the pair or the distance, of gradients to the true one's size \
-(all 30 numbers, lengths in units of the longest). The depth of an overlapping pair is \
-compared with the least one known. Verdicts: how many pairs; "false overlap" is what a \
+(all 30 numbers, lengths in units of the longest). Distances and their gradients: of \
+pairs apart; the depth of an overlapping pair is compared with the least one known. \
+Verdicts: how many pairs; "false overlap" is what a \
 user must take for an overlap who may not miss one (the value not above zero, the \
 certificate not of separation), "missed" the reverse.
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,10 @@ SHARES = ("99", "99.9", "max")
 
 SPHERES = "spheres"
 """A kind of its own in the table: ellipsoids with equal semi-axes."""
+
+
+LEFT_OUT = ("near touching",)
+"""Kinds that are no scene as a whole; their errors are those of random ones."""
 
 
 class Point(NamedTuple):
@@ -90,14 +94,14 @@ def _is_beaten(point: Point, every: Sequence[Point]) -> bool:
 
 def table(throughput: dict[str, Any], accuracy: dict[str, Any]) -> dict[str, Any]:
     """What `jaxbe.plan` needs: cost and errors of each setting by spread."""
-    rates = _rates(throughput)
-    judged = settings.named(settings.JUDGED)
+    rates, judged = _rates(throughput), settings.named(settings.JUDGED)
+    entries = [e for e in accuracy["errors"] if e["scene"] not in LEFT_OUT]
     rows = [
-        _row(judged[name], dtype, rates[name, dtype], accuracy["errors"])
+        _row(judged[name], dtype, rates[name, dtype], entries)
         for name in judged
         for dtype in settings.DTYPES
     ]
-    spreads = sorted({e["spread"] for e in accuracy["errors"] if _is_of_spread(e)})
+    spreads = sorted({e["spread"] for e in entries if _is_of_spread(e)})
     return {
         "command": "python -m benchmarks (see benchmarks/frontier.py)",
         "machine": machine.summary(throughput["machine"]),
@@ -124,29 +128,27 @@ def _row(
         "gradients": setting.gradients,
         "dtype": dtype,
         "nanoseconds": float(f"{1e9 / rate:.4g}"),
-        "errors": list(_by_spread([e for e in by_spread if "error" in e], _errors)),
-        "false_overlaps": list(
-            _by_spread([e for e in by_spread if "missed" in e], _false_overlaps)
-        ),
-        "errors_of_spheres": _worst([_errors(e) for e in spheres if "error" in e]),
-        "false_overlaps_of_spheres": _worst(
-            [_false_overlaps(e) for e in spheres if "missed" in e]
-        ),
+        "errors": _errors_by_answer(by_spread),
+        "errors_of_spheres": _errors_by_answer(spheres),
     }
 
 
-def _by_spread(entries: list[dict[str, Any]], numbers: Any) -> Iterator[list[float]]:
-    """The worst of all kinds up to each spread."""
-    for spread in sorted({e["spread"] for e in entries}):
-        yield _worst([numbers(e) for e in entries if e["spread"] <= spread])
+def _errors_by_answer(entries: list[dict[str, Any]]) -> dict[str, Any]:
+    answers = dict.fromkeys(e["answer"] for e in entries)
+    return {a: _by_spread([e for e in entries if e["answer"] == a]) for a in answers}
+
+
+def _by_spread(entries: list[dict[str, Any]]) -> list[list[float]]:
+    """A row for each spread: the worst of all kinds up to it."""
+    spreads = sorted({e["spread"] for e in entries})
+    return [_worst([_errors(e) for e in entries if e["spread"] <= s]) for s in spreads]
 
 
 def _errors(entry: dict[str, Any]) -> list[float]:
+    """By SHARES; of verdicts the share of false overlaps."""
+    if "missed" in entry:
+        return [entry["false_overlap_share"]]
     return [entry["error"][share] for share in SHARES]
-
-
-def _false_overlaps(entry: dict[str, Any]) -> list[float]:
-    return [entry["false_overlap_share"]]
 
 
 def _worst(rows: list[list[float]]) -> list[float]:

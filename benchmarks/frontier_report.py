@@ -13,12 +13,14 @@ FLOOR = {"verdict": 1e-6}
 
 LOWEST = 1e-17
 
-PANELS = (
-    ("verdict", "share of wrong verdicts"),
-    ("margin", "error of the margin"),
-    ("distance", "error of the signed distance"),
-    ("gradient", "error of the gradient"),
-)
+PANELS = {
+    settings.VERDICT: "share of wrong verdicts",
+    settings.MARGIN: "error of the margin",
+    settings.MARGIN_GRADIENT: "error of the margin's gradient",
+    settings.DEPTH: "error of the depth, overlapping",
+    settings.DISTANCE: "error of the distance, apart",
+    settings.DISTANCE_GRADIENT: "error of the distance's gradient, apart",
+}
 """Panels of a figure, and what their upright axes say."""
 
 # Okabe and Ito's palette, told apart by every eye.
@@ -82,11 +84,11 @@ def _draw_kind(numbers: dict[str, Any], kind: str, prefix: Path) -> Path:
     # Here, so that the tables do not need matplotlib.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 8.5), layout="constrained")
+    figure = Figure(figsize=(16, 9), layout="constrained")
     points = [p for p in numbers["points"] if p["scene"] == kind]
-    panels = figure.subplots(2, 2).ravel()
-    for axes, (answer, label) in zip(panels, PANELS, strict=True):
-        _draw_panel(axes, [p for p in points if p["answer"].endswith(answer)], label)
+    panels = figure.subplots(2, 3).ravel()
+    for axes, (answer, label) in zip(panels, PANELS.items(), strict=True):
+        _draw_panel(axes, [p for p in points if p["answer"] == answer], label)
     _draw_legend(figure)
     machine = numbers["machine"]
     figure.suptitle(
@@ -103,8 +105,7 @@ def _draw_kind(numbers: dict[str, Any], kind: str, prefix: Path) -> Path:
 def _draw_panel(axes: Any, points: list[dict[str, Any]], label: str) -> None:
     for p in points:
         _draw_point(axes, p)
-    for answer in dict.fromkeys(p["answer"] for p in points):
-        _draw_front(axes, [p for p in points if p["answer"] == answer])
+    _draw_front(axes, points)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("million pairs a second")

@@ -19,11 +19,11 @@ from jaxbe.margin import DEFAULT_STEPS as MARGIN_STEPS
 
 DTYPES = ("float32", "float64")
 
-VERDICT, MARGIN, DISTANCE = "verdict", "margin", "distance"
+VERDICT, MARGIN, DISTANCE, DEPTH = "verdict", "margin", "distance", "depth"
 MARGIN_GRADIENT, DISTANCE_GRADIENT = "margin's gradient", "distance's gradient"
 
-ANSWERS = (VERDICT, MARGIN, DISTANCE, MARGIN_GRADIENT, DISTANCE_GRADIENT)
-"""What a setting can be judged by."""
+ANSWERS = (VERDICT, MARGIN, MARGIN_GRADIENT, DISTANCE, DISTANCE_GRADIENT, DEPTH)
+"""What a setting can be judged by; distances where bodies are apart, else depths."""
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "overlap": jaxbe.overlap,
@@ -108,7 +108,7 @@ class Setting(NamedTuple):
             return (GRADIENTS[self.function],)
         values = {
             "margin": (MARGIN, VERDICT),
-            "signed_distance": (DISTANCE, VERDICT),
+            "signed_distance": (DISTANCE, DEPTH, VERDICT),
             "lower_bound": (DISTANCE, VERDICT),
             "overlap": (VERDICT,),
             "certify": (VERDICT,),

@@ -10,6 +10,7 @@ from jaxbe.mjx.collision import (
     disable_collision,
     enable_collision,
 )
+from jaxbe.mjx.facts import scene_facts
 from jaxbe.mjx.filter import Candidates, filter_contacts
 from jaxbe.mjx.gather import gather
 from jaxbe.mjx.pairs import Pairs, find_pairs
@@ -23,4 +24,5 @@ __all__ = [
     "filter_contacts",
     "find_pairs",
     "gather",
+    "scene_facts",
 ]

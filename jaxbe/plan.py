@@ -1,0 +1,338 @@
+"""`plan`: the cheapest settings that are accurate enough for a scene.
+
+It reads `frontier.json`, measured by `python -m benchmarks`: what each setting costs,
+and how wrong it was on random scenes of several spreads, needles, plates and spheres.
+Costs are of one machine; what counts is their order, which steps give everywhere.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+from collections.abc import Mapping
+from importlib import resources
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from jaxbe.margin import rounding_slack
+from jaxbe.scene_facts import SceneFacts
+
+Output = Literal["overlap", "margin", "signed_distance", "contact", "filter_contacts"]
+DType = Literal["float32", "float64"]
+Keywords = Mapping[str, Any]
+
+SHARES = {0.99: 0, 0.999: 1, 1.0: 2}
+"""The shares of pairs that a tolerance can be for, and their columns in the table."""
+
+VERDICT_BAND = {"float32": 2.1, "float64": 112.0}
+"""In eps times the spread: nearer to touching `overlap` may be wrong (its tests)."""
+
+FALSE_KEEPS = 0.01
+"""The share of separated pairs that a filter may keep, if nothing else is said."""
+
+ENOUGH = 2.0
+"""Without a tolerance: the cheapest within so much of the best there is."""
+
+
+class _Question(NamedTuple):
+    """How an output is looked up: the table's function, and its kind of answer."""
+
+    function: str
+    answer: str
+    gradient: str | None = None
+
+
+_QUESTIONS: dict[str, _Question] = {
+    "overlap": _Question("overlap", "verdict"),
+    "margin": _Question("margin", "margin", "margin's gradient"),
+    "signed_distance": _Question("signed_distance", "distance", "distance's gradient"),
+    "contact": _Question("signed_distance", "distance", "distance's gradient"),
+    "filter_contacts": _Question("lower_bound", "verdict"),
+}
+
+
+class _Row(NamedTuple):
+    """A setting of the table and what it would cost here.
+
+    Attributes:
+        keywords: of the call.
+        dtype: of the inputs.
+        nanoseconds: for a pair, on the machine of the table.
+        error: for the scene and the share of pairs asked for.
+    """
+
+    keywords: dict[str, Any]
+    dtype: str
+    nanoseconds: float
+    error: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Settings, by the functions asked for, as their keyword arguments.
+
+    `jaxbe.margin(box, ellipsoid, **plan.margin)`; None for what was not asked for.
+    Printed it says why.
+
+    Attributes:
+        dtype: of the poses and sizes: "float32" or "float64".
+        overlap: for `jaxbe.overlap`; None where pairs may not be missed.
+        margin: for `jaxbe.margin`.
+        signed_distance: for `jaxbe.signed_distance`.
+        contact: for `jaxbe.contact`.
+        filter_contacts: for `jaxbe.mjx.filter_contacts`.
+        drop_above: where pairs may not be missed: only those whose margin is larger
+            may be dropped; `rounding_slack` of the scene.
+        why: a line for each function.
+    """
+
+    dtype: DType
+    overlap: Keywords | None = None
+    margin: Keywords | None = None
+    signed_distance: Keywords | None = None
+    contact: Keywords | None = None
+    filter_contacts: Keywords | None = None
+    drop_above: float | None = None
+    why: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return "\n".join((f"{self.dtype}:", *(f"  {line}" for line in self.why)))
+
+
+def plan(
+    *outputs: Output,
+    scene: SceneFacts,
+    gradients: bool = False,
+    dtype: DType | None = None,
+    tolerance: float | None = None,
+    share: float = 0.999,
+    never_miss: bool = False,
+) -> Plan:
+    """The cheapest settings for a scene that keep a tolerance, and why.
+
+    Args:
+        outputs: the functions needed: "overlap", "margin", "signed_distance",
+            "contact", "filter_contacts".
+        scene: its facts: `jaxbe.scene_facts(box, ellipsoid)`,
+            `jaxbe.mjx.scene_facts(pairs, model)`, or a `SceneFacts` by hand.
+        gradients: whether derivatives of margin and distances are needed as well; then
+            the tolerance is for these, relative to the size of the gradient.
+        dtype: "float32" or "float64"; by default float32 unless the tolerance needs
+            the other.
+        tolerance: largest error. Of "margin" relative to max(1, growth distance); of
+            "signed_distance" and "contact", for pairs that are apart, relative to the
+            longest length of the pair or the distance; of "overlap" the |sqrt(q) - 1|
+            of `scaled_distance` nearer than which a verdict may be wrong. Where pairs
+            may not be missed: the share of separated pairs that may be kept (0.01 if
+            None). None otherwise: within twice of the best there is.
+        share: of the pairs for which the tolerance is meant: 0.99, 0.999 or 1, as
+            far as the table's 100,000 pairs a scene can tell.
+        never_miss: whether no overlapping pair may be called separated, rounding
+            included. "overlap" is answered by margin and `drop_above` then.
+
+    Returns:
+        A `Plan`. The errors are those that were measured on random scenes of the
+        same spread (the next larger one of the table where it has no such, in between
+        interpolated); another scene's may differ somewhat.
+
+    Raises:
+        TypeError: a scene that is not a SceneFacts.
+        ValueError: no or unknown outputs, or another dtype or share; a tolerance that
+            no setting reaches: the message says what is the best; a spread beyond the
+            table's where a tolerance is given.
+    """
+    _check(outputs, scene, dtype, share, tolerance)
+    ask = _Ask(scene, gradients, tolerance, SHARES[share], share)
+    names = tuple(dict.fromkeys(_answered_by(name, never_miss) for name in outputs))
+    for kind in (dtype,) if dtype else ("float32", "float64"):
+        found = {name: _choose(name, kind, ask, never_miss) for name in names}
+        if all(found.values()):
+            break
+    else:
+        raise ValueError(_best_there_is(found, names, dtype, ask, never_miss))
+    return _plan(found, kind, ask, never_miss)  # type: ignore[arg-type]
+
+
+class _Ask(NamedTuple):
+    """What is asked, of whatever function."""
+
+    scene: SceneFacts
+    gradients: bool
+    tolerance: float | None
+    column: int
+    share: float
+
+
+def _check(
+    outputs: tuple[str, ...], scene: Any, dtype: Any, share: Any, tolerance: Any
+) -> None:
+    if not isinstance(scene, SceneFacts):
+        raise TypeError(f"scene must be a SceneFacts, got {type(scene).__name__}")
+    for name in outputs or ("none",):
+        if name not in _QUESTIONS:
+            known = ", ".join(_QUESTIONS)
+            raise ValueError(f"outputs must be of {known}; got {name!r}")
+    if dtype not in (None, "float32", "float64"):
+        raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
+    if share not in SHARES:
+        raise ValueError(f"share must be one of {', '.join(map(str, SHARES))}")
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"tolerance must be positive, got {tolerance}")
+
+
+def _answered_by(output: str, never_miss: bool) -> str:
+    return "margin" if output == "overlap" and never_miss else output
+
+
+def _choose(name: str, dtype: str, ask: _Ask, never_miss: bool) -> _Row | None:
+    """The cheapest row that is accurate enough."""
+    rows = _rows(name, dtype, ask, never_miss)
+    limit = _limit(name, rows, ask, never_miss)
+    good = [row for row in rows if row.error <= limit]
+    return min(good, key=lambda row: row.nanoseconds, default=None)
+
+
+def _limit(name: str, rows: list[_Row], ask: _Ask, never_miss: bool) -> float:
+    if ask.tolerance is not None:
+        return ask.tolerance
+    if _is_filter(name, never_miss):
+        return FALSE_KEEPS
+    return ENOUGH * min(row.error for row in rows)
+
+
+def _is_filter(name: str, never_miss: bool) -> bool:
+    return name == "filter_contacts" or (name == "margin" and never_miss)
+
+
+def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
+    """All settings that could answer."""
+    if name == "overlap":
+        eps = float(np.finfo(dtype).eps)
+        band = VERDICT_BAND[dtype] * eps * ask.scene.spread
+        fastest = [_Row(r.keywords, dtype, r.nanoseconds, band) for r in _table(name)
+                   if r.dtype == dtype]  # fmt: skip
+        return fastest
+    question = _QUESTIONS[name]
+    gradients = ask.gradients and question.gradient is not None
+    answer = question.gradient if gradients else question.answer
+    column = ask.column
+    if _is_filter(name, never_miss):
+        gradients, answer, column = False, "verdict", 0
+    return [
+        _Row(row.keywords, dtype, row.nanoseconds, row.error(answer, column, ask.scene))
+        for row in _table(question.function)
+        if row.dtype == dtype and row.gradients == gradients
+    ]
+
+
+class _Measured(NamedTuple):
+    """A line of the table.
+
+    Attributes:
+        keywords: the options of the function.
+        dtype: of the inputs.
+        gradients: whether with derivatives.
+        nanoseconds: for a pair.
+        spreads: those that `errors` is for.
+        errors: by kind of answer a row for each spread, a column for each share.
+        errors_of_spheres: likewise, one row.
+    """
+
+    keywords: dict[str, Any]
+    dtype: str
+    gradients: bool
+    nanoseconds: float
+    spreads: list[float]
+    errors: dict[str, list[list[float]]]
+    errors_of_spheres: dict[str, list[list[float]]]
+
+    def error(self, answer: str | None, column: int, scene: SceneFacts) -> float:
+        """Interpolated between the spreads; infinite beyond them."""
+        if scene.spheres and scene.spread <= self.spreads[-1]:
+            return self.errors_of_spheres[str(answer)][0][column]
+        if scene.spread > self.spreads[-1]:
+            return math.inf
+        errors = [row[column] for row in self.errors[str(answer)]]
+        if not all(errors):
+            following = np.searchsorted(self.spreads, scene.spread)
+            return errors[int(following)]
+        logarithm = np.interp(
+            math.log(scene.spread), np.log(self.spreads), np.log(errors)
+        )
+        return float(np.exp(logarithm))
+
+
+@functools.cache
+def _frontier() -> dict[str, Any]:
+    file = resources.files("jaxbe").joinpath("frontier.json")
+    table: dict[str, Any] = json.loads(file.read_text())
+    return table
+
+
+@functools.cache
+def _table(function: str) -> tuple[_Measured, ...]:
+    """The lines of one function."""
+    frontier = _frontier()
+    return tuple(
+        _Measured(
+            keywords={k: row[k] for k in ("steps", "method") if k in row},
+            dtype=row["dtype"],
+            gradients=row["gradients"],
+            nanoseconds=row["nanoseconds"],
+            spreads=frontier["spreads"],
+            errors=row["errors"],
+            errors_of_spheres=row["errors_of_spheres"],
+        )
+        for row in frontier["settings"]
+        if row["function"] == function
+    )
+
+
+def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> Plan:
+    slack = rounding_slack(dtype, ask.scene.spread) if never_miss else None
+    return Plan(
+        dtype=dtype,
+        drop_above=slack if "margin" in found else None,
+        why=tuple(_reason(name, row, ask, never_miss) for name, row in found.items()),
+        **{name: row.keywords for name, row in found.items()},
+    )
+
+
+def _reason(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
+    call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
+    spheres = ", spheres" if ask.scene.spheres else ""
+    where = f"at spread {ask.scene.spread:.3g}{spheres}"
+    rate = f"{row.nanoseconds:.3g} ns a pair on {_frontier()['machine']}"
+    return f"{name}({call}): {_promise(name, row, ask, never_miss)} {where}; {rate}"
+
+
+def _promise(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
+    if _is_filter(name, never_miss):
+        return f"misses no pair, keeps {100 * row.error:.2g} % of the separated ones"
+    if name == "overlap":
+        return f"right wherever |sqrt(q) - 1| > {row.error:.1e}"
+    what = "gradients" if ask.gradients else "values"
+    return f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs"
+
+
+def _best_there_is(
+    found: dict[str, _Row | None],
+    names: tuple[str, ...],
+    dtype: str | None,
+    ask: _Ask,
+    never_miss: bool,
+) -> str:
+    last = dtype or "float64"
+    errors = {
+        name: min(row.error for row in _rows(name, last, ask, never_miss))
+        for name in names
+        if found[name] is None
+    }
+    best = ", ".join(f"{name} {error:.1e}" for name, error in errors.items())
+    return (
+        f"no setting keeps tolerance {ask.tolerance} at spread {ask.scene.spread:.3g}; "
+        f"the best in {last}: {best} (inf: beyond the table)"
+    )

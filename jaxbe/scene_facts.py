@@ -1,0 +1,67 @@
+"""What is known of a scene before it runs: its sizes, not its poses."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbe.pose import batch_shape
+from jaxbe.shapes import Box, Ellipsoid
+
+SAME = 1e-6
+"""Semi-axes that differ by less, relatively, are those of a sphere."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneFacts:
+    """Static facts of a scene, for `jaxbe.plan`.
+
+    Attributes:
+        spread: the longest half extent or semi-axis of a pair over its smallest
+            semi-axis, the largest of all pairs; at least 1.
+        spheres: whether all ellipsoids are spheres.
+    """
+
+    spread: float
+    spheres: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.spread >= 1:
+            raise ValueError(f"spread must be at least 1, got {self.spread}")
+
+
+def scene_facts(box: Box, ellipsoid: Ellipsoid) -> SceneFacts:
+    """The facts of a batch of pairs; reads half extents and semi-axes only.
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+
+    Raises:
+        TypeError: arguments that are not a Box and an Ellipsoid of one dtype, or
+            lengths that are traced: facts are static.
+        ValueError: batch shapes that do not broadcast, no pair, or semi-axes that are
+            not positive or not finite.
+    """
+    if 0 in batch_shape(box, ellipsoid):
+        raise ValueError("there is no pair, so there are no facts")
+    return facts_of_lengths(box.half_extents, ellipsoid.semi_axes)
+
+
+def facts_of_lengths(half_extents: Any, semi_axes: Any) -> SceneFacts:
+    """The facts of lengths (..., 3), of shapes that broadcast."""
+    for name, given in (("half_extents", half_extents), ("semi_axes", semi_axes)):
+        if isinstance(given, jax.core.Tracer):
+            raise TypeError(f"{name} must be known when a plan is made, got a tracer")
+    e, a = (np.asarray(x, np.float64) for x in (half_extents, semi_axes))
+    if not (np.all(np.isfinite(e)) and np.all(np.isfinite(a)) and np.all(a > 0)):
+        raise ValueError("lengths must be finite, and semi_axes positive")
+    smallest, largest = a.min(axis=-1), a.max(axis=-1)
+    longest = np.maximum(e.max(axis=-1), largest)
+    return SceneFacts(
+        spread=float(np.max(longest / smallest)),
+        spheres=bool(np.all(largest <= smallest * (1 + SAME))),
+    )
