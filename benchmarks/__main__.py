@@ -22,6 +22,9 @@ from typing import NamedTuple
 
 RESULTS = Path("benchmarks/results")
 
+PLAN_TABLE = Path("jaxbe/frontier.json")
+"""What `jaxbe.plan` reads: of the suite's results on a CPU."""
+
 
 class Part(NamedTuple):
     """One benchmark of its own module.
@@ -51,13 +54,13 @@ SUITE = {
         "speed against error, and the table of jaxbe.plan",
         (
             *("--throughput", "{throughput}.json", "--accuracy", "{accuracy}.json"),
-            *("--figures", "{frontier}", "--table", "{frontier}-table.json"),
+            *("--figures", "{frontier}", "--table", "{table}"),
         ),
         has_quick=False,
     ),
     "plan": Part(
         "whether jaxbe.plan keeps its word on scenes it has not seen",
-        ("--frontier", "{frontier}-table.json", "--throughput", "{throughput}.json"),
+        ("--throughput", "{throughput}.json"),
     ),
     "extremes": Part(
         "errors against the inputs' conditioning at all sizes, shapes and distances",
@@ -98,6 +101,9 @@ def device() -> str:
 def command(name: str, folder: Path, quick: bool, label: str) -> list[str]:
     """What runs a part."""
     stems = {part: str(folder / f"{part.replace('_', '-')}-{label}") for part in PARTS}
+    stems["table"] = str(folder / f"plan-table-{label}.json")
+    if (folder, label) == (RESULTS, "cpu"):
+        stems["table"] = str(PLAN_TABLE)
     part = PARTS[name]
     options = [option.format(**stems) for option in part.options]
     if quick and part.has_quick:

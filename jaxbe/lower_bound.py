@@ -60,12 +60,12 @@ from jaxbe.pose import (
     in_other_units,
     reciprocal_power_of_two,
 )
-from jaxbe.separation import refined_shift
+from jaxbe.separation import STEPS_A_LOOP, refined_shift
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
-MAX_STEPS = 4
-"""As many as XLA compiles well in one expression (see `jaxbe.separation`)."""
+MAX_STEPS = STEPS_A_LOOP
+"""As many as XLA compiles well in one expression."""
 
 ROUNDINGS = 16
 """The slack, in units of eps (|K - C| + sum e + sum a); see above."""

@@ -8,16 +8,14 @@ Costs are of one machine; what counts is their order, which steps give everywher
 from __future__ import annotations
 
 import dataclasses
-import functools
-import json
 import math
 from collections.abc import Mapping
-from importlib import resources
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from jaxbe.margin import rounding_slack
+from jaxbe.plan_table import frontier, lines
 from jaxbe.scene_facts import SceneFacts
 
 Output = Literal["overlap", "margin", "signed_distance", "contact", "filter_contacts"]
@@ -141,8 +139,8 @@ def plan(
     Raises:
         TypeError: a scene that is not a SceneFacts.
         ValueError: no or unknown outputs, or another dtype or share; a tolerance that
-            no setting reaches: the message says what is the best; a spread beyond the
-            table's where a tolerance is given.
+            no setting reaches, or a spread beyond the table's: the message says what
+            is the best.
     """
     _check(outputs, scene, dtype, share, tolerance)
     ask = _Ask(scene, gradients, tolerance, SHARES[share], share)
@@ -191,7 +189,8 @@ def _choose(name: str, dtype: str, ask: _Ask, never_miss: bool) -> _Row | None:
     """The cheapest row that is accurate enough."""
     rows = _rows(name, dtype, ask, never_miss)
     limit = _limit(name, rows, ask, never_miss)
-    good = [row for row in rows if row.error <= limit]
+    # Beyond the table the error is infinite, and so is twice the least one.
+    good = [row for row in rows if row.error <= limit and row.error < math.inf]
     return min(good, key=lambda row: row.nanoseconds, default=None)
 
 
@@ -212,9 +211,8 @@ def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
     if name == "overlap":
         eps = float(np.finfo(dtype).eps)
         band = VERDICT_BAND[dtype] * eps * ask.scene.spread
-        fastest = [_Row(r.keywords, dtype, r.nanoseconds, band) for r in _table(name)
-                   if r.dtype == dtype]  # fmt: skip
-        return fastest
+        table = [row for row in lines(name) if row.dtype == dtype]
+        return [_Row(row.keywords, dtype, row.nanoseconds, band) for row in table]
     question = _QUESTIONS[name]
     gradients = ask.gradients and question.gradient is not None
     answer = question.gradient if gradients else question.answer
@@ -223,72 +221,9 @@ def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
         gradients, answer, column = False, "verdict", 0
     return [
         _Row(row.keywords, dtype, row.nanoseconds, row.error(answer, column, ask.scene))
-        for row in _table(question.function)
+        for row in lines(question.function)
         if row.dtype == dtype and row.gradients == gradients
     ]
-
-
-class _Measured(NamedTuple):
-    """A line of the table.
-
-    Attributes:
-        keywords: the options of the function.
-        dtype: of the inputs.
-        gradients: whether with derivatives.
-        nanoseconds: for a pair.
-        spreads: those that `errors` is for.
-        errors: by kind of answer a row for each spread, a column for each share.
-        errors_of_spheres: likewise, one row.
-    """
-
-    keywords: dict[str, Any]
-    dtype: str
-    gradients: bool
-    nanoseconds: float
-    spreads: list[float]
-    errors: dict[str, list[list[float]]]
-    errors_of_spheres: dict[str, list[list[float]]]
-
-    def error(self, answer: str | None, column: int, scene: SceneFacts) -> float:
-        """Interpolated between the spreads; infinite beyond them."""
-        if scene.spheres and scene.spread <= self.spreads[-1]:
-            return self.errors_of_spheres[str(answer)][0][column]
-        if scene.spread > self.spreads[-1]:
-            return math.inf
-        errors = [row[column] for row in self.errors[str(answer)]]
-        if not all(errors):
-            following = np.searchsorted(self.spreads, scene.spread)
-            return errors[int(following)]
-        logarithm = np.interp(
-            math.log(scene.spread), np.log(self.spreads), np.log(errors)
-        )
-        return float(np.exp(logarithm))
-
-
-@functools.cache
-def _frontier() -> dict[str, Any]:
-    file = resources.files("jaxbe").joinpath("frontier.json")
-    table: dict[str, Any] = json.loads(file.read_text())
-    return table
-
-
-@functools.cache
-def _table(function: str) -> tuple[_Measured, ...]:
-    """The lines of one function."""
-    frontier = _frontier()
-    return tuple(
-        _Measured(
-            keywords={k: row[k] for k in ("steps", "method") if k in row},
-            dtype=row["dtype"],
-            gradients=row["gradients"],
-            nanoseconds=row["nanoseconds"],
-            spreads=frontier["spreads"],
-            errors=row["errors"],
-            errors_of_spheres=row["errors_of_spheres"],
-        )
-        for row in frontier["settings"]
-        if row["function"] == function
-    )
 
 
 def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> Plan:
@@ -305,7 +240,7 @@ def _reason(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
     call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
     spheres = ", spheres" if ask.scene.spheres else ""
     where = f"at spread {ask.scene.spread:.3g}{spheres}"
-    rate = f"{row.nanoseconds:.3g} ns a pair on {_frontier()['machine']}"
+    rate = f"{row.nanoseconds:.3g} ns a pair on {frontier()['machine']}"
     return f"{name}({call}): {_promise(name, row, ask, never_miss)} {where}; {rate}"
 
 

@@ -465,6 +465,7 @@ def test_candidates_can_be_gathered(model, pairs):
         ({"distance": np.zeros(3)}, ValueError, r"distance must broadcast to \(4,\)"),
         ({"distance": np.zeros((2, 4))}, ValueError, "distance must broadcast"),
         ({"mask": np.ones(5, bool)}, ValueError, r"mask must .* got \(5,\)"),
+        ({"distance": 1j}, TypeError, "distance must be of real numbers, got complex"),
         ({"mask": np.ones(4)}, TypeError, "mask must be of bools, got float64"),
     ],
 )

@@ -82,7 +82,8 @@ def filter_contacts(
         `distance` are those of the distance along the direction found.
 
     Raises:
-        TypeError: poses that are not float32 or float64, a mask that is not of bools,
+        TypeError: poses that are not float32 or float64, a distance that is not of
+            real numbers, a mask that is not of bools,
             `steps` or `max_pairs` that are not Python integers.
         ValueError: shapes that do not fit together, counts out of range, pairs of a
             larger model.
@@ -93,11 +94,18 @@ def filter_contacts(
         count = as_count("max_pairs", max_pairs, 1, MAX_PAIRS)
     bound = contact_distance(pairs, model) if distance is None else distance
     found = pair_distances(pairs, model, data, steps)
-    bound = _broadcast("distance", jnp.asarray(bound, found.dtype), found)
+    bound = _broadcast("distance", _as_metres(bound, found.dtype), found)
     kept = ~(found > bound)
     if mask is not None:
         kept = kept & _as_mask(mask, found)
     return nearest_candidates(pairs, found, kept, count)
+
+
+def _as_metres(given: ArrayLike, dtype: Any) -> jax.Array:
+    bound = jnp.asarray(given)
+    if bound.dtype == bool or jnp.iscomplexobj(bound):
+        raise TypeError(f"distance must be of real numbers, got {bound.dtype}")
+    return bound.astype(dtype)
 
 
 def _as_mask(given: ArrayLike, found: Scalars) -> Flags:
