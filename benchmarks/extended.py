@@ -62,9 +62,12 @@ def canonical(pairs: Scene) -> Canonical:
     R = _product(np.swapaxes(U, 1, 2), V)
     k = np.einsum("nri,nr->ni", U, K - C)
     B = R * a[:, None, :]
-    cofactors = _cofactors(R) * np.stack(
-        [a[:, 1] * a[:, 2], a[:, 2] * a[:, 0], a[:, 0] * a[:, 1]], axis=1
-    )[:, None, :]
+    cofactors = (
+        _cofactors(R)
+        * np.stack([a[:, 1] * a[:, 2], a[:, 2] * a[:, 0], a[:, 0] * a[:, 1]], axis=1)[
+            :, None, :
+        ]
+    )
     determinant = np.sum(B[:, 0] * cofactors[:, 0], axis=1) ** 2
     S, adjugate = (_product(m, np.swapaxes(m, 1, 2)) for m in (B, cofactors))
     return Canonical(k, R, e, a, S, adjugate, determinant)

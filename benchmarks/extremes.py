@@ -59,9 +59,7 @@ class Query(NamedTuple):
 QUERIES = {
     "scaled_distance": Query(jaxbe.scaled_distance, extended.scaled_distance),
     "margin": Query(jaxbe.margin, extended.growth_distance, offset=1),
-    "signed_distance": Query(
-        jaxbe.signed_distance, extended.distance, is_length=True
-    ),
+    "signed_distance": Query(jaxbe.signed_distance, extended.distance, is_length=True),
 }
 OVERLAP = "overlap"
 ROWS = (OVERLAP, *(f"{name}{of}" for name in QUERIES for of in ("", ", gradient")))
@@ -112,26 +110,36 @@ def true_answer(scene: Scene, query: Query) -> True_:
     value, gradient = at.value - query.offset, extended.gradient(scene, at)
     conditioning = unit * abs(value)
     of_gradient = unit * _by_field(gradient)
-    for moved in _moved(scene.astype(LONG), unit):
-        there = query.truth(moved)
-        change = there.value - at.value
-        conditioning = conditioning + abs(change)
-        slopes = extended.gradient(moved, there)
-        changes = (x - y for x, y in zip(slopes, gradient, strict=True))
-        of_gradient = of_gradient + _by_field(Scene(*changes))
+    for both in _moved(scene.astype(LONG), unit):
+        moves = [_change(scene, at, gradient, query) for scene in both]
+        change, slopes = (np.maximum(*x) for x in zip(*moves, strict=True))
+        conditioning, of_gradient = conditioning + change, of_gradient + slopes
     judged = np.ones(scene.size, bool)
     if query.is_length:
         judged = at.value > 0
     return True_(value, conditioning, gradient, of_gradient, judged)
 
 
-def _moved(scene: Scene, unit: float) -> Iterator[Scene]:
-    """The scene with one number after the other larger by a unit."""
+def _moved(scene: Scene, unit: float) -> Iterator[list[Scene]]:
+    """The scene with one number after the other larger, and smaller, by a unit."""
     for field, values in enumerate(scene):
         for entry in np.ndindex(values.shape[1:]):
-            changed = values.copy()
-            changed[(slice(None), *entry)] *= 1 + LONG(unit)
-            yield scene._replace(**{scene._fields[field]: changed})
+            both = []
+            for sign in (1, -1):
+                changed = values.copy()
+                changed[(slice(None), *entry)] *= 1 + sign * LONG(unit)
+                both.append(scene._replace(**{scene._fields[field]: changed}))
+            yield both
+
+
+def _change(
+    moved: Scene, at: Answer, gradient: Scene, query: Query
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much the answer differs from the one given, and its gradient."""
+    there = query.truth(moved)
+    slopes = extended.gradient(moved, there)
+    changes = (x - y for x, y in zip(slopes, gradient, strict=True))
+    return abs(there.value - at.value), _by_field(list(changes))
 
 
 def _by_field(fields: Sequence[np.ndarray]) -> np.ndarray:
@@ -139,9 +147,7 @@ def _by_field(fields: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack([abs(x).reshape(len(x), -1).max(axis=1) for x in fields], axis=1)
 
 
-def judge(
-    scene: Scene, exponent: int, name: str, true: True_
-) -> tuple[Judged, Judged]:
+def judge(scene: Scene, exponent: int, name: str, true: True_) -> tuple[Judged, Judged]:
     """Values and gradients of the scene, scaled by a power of two."""
     value, gradient = found(scaled(scene, exponent), name, exponent)
     error = abs(value - true.value)
@@ -181,12 +187,16 @@ def along_own_direction(
     """
     long = scene.astype(LONG)
     length = np.sqrt(np.sum(world * world, axis=1))
-    n = np.einsum("nri,nr->ni", long.U, world / np.where(length > 0, length, 1)[:, None])
+    n = np.einsum(
+        "nri,nr->ni", long.U, world / np.where(length > 0, length, 1)[:, None]
+    )
     one = np.ones(scene.size, LONG)
     pair = extended.canonical(scene)
     value = extended.along(pair, n)
     slopes = extended.gradient(scene, Answer(value, n, one, one))
-    terms = [np.sum(abs(x * y).reshape(scene.size, -1), 1) for x, y in zip(slopes, long)]
+    terms = [
+        np.sum(abs(x * y).reshape(scene.size, -1), 1) for x, y in zip(slopes, long)
+    ]
     unit = float(np.finfo(scene.a.dtype).eps) / 2
     return value, unit * (np.sum(terms, axis=0) + abs(value))
 
@@ -198,12 +208,16 @@ def _ratio(error: np.ndarray, conditioning: np.ndarray) -> np.ndarray:
     return np.where(wrong, quotient, 0)
 
 
-def judge_verdicts(scene: Scene, exponent: int, true: True_, right: np.ndarray) -> Judged:
+def judge_verdicts(
+    scene: Scene, exponent: int, true: True_, right: np.ndarray
+) -> Judged:
     """How far from touching wrong verdicts are, over the conditioning of sqrt(q)."""
     bodies = scaled(scene, exponent).bodies()
     given = [np.asarray(verdicts(method)(*bodies)) for method in jaxbe.METHODS]
     wrong = np.any([x != right for x in given], axis=0)
-    return Judged(np.where(wrong, _ratio(abs(true.value - 1), true.conditioning), 0), wrong)
+    return Judged(
+        np.where(wrong, _ratio(abs(true.value - 1), true.conditioning), 0), wrong
+    )
 
 
 def measure_cell(

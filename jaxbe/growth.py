@@ -42,6 +42,7 @@ from jaxbe.metric import Metric, active_inverse, metric, squared_length
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import extent
+from jaxbe.touching import touching_point
 from jaxbe.types import Components, Scalars
 
 MAX_STEPS = 10
@@ -117,7 +118,13 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     alpha = kept(alpha, given)
     n, radius = _kept_normal(box, ellipsoid, alpha)
     tangent = directional_derivative(
-        bodies, tangents, n, radius, of_extent=alpha, of_radius=alpha
+        bodies,
+        tangents,
+        n,
+        radius,
+        of_extent=alpha,
+        of_radius=alpha,
+        contact=touching_point(box, ellipsoid, alpha),
     )
     return alpha, tangent
 

@@ -14,6 +14,7 @@ from jaxbe.kept import kept, kept_pair
 from jaxbe.metric import metric
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.touching import touching_point
 from jaxbe.types import Components, Scalars
 
 
@@ -66,8 +67,15 @@ def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], given)
     n_2 = kept(_normal(in_other_units(pair, 4))[2], given)
     one = jnp.ones_like(distance)
+    n = n_0, n_1, n_2
     tangent = directional_derivative(
-        bodies, tangents, (n_0, n_1, n_2), one, of_extent=one, of_radius=distance
+        bodies,
+        tangents,
+        n,
+        one,
+        of_extent=one,
+        of_radius=distance,
+        contact=touching_point(box, ellipsoid, one),
     )
     return distance, tangent
 
