@@ -77,11 +77,10 @@ def scaled_distance(pairs: Scene) -> Answer:
     """sqrt(q), the largest (n.k - E) / s; zero with n = 0 if the centre is inside."""
     pair = canonical(pairs)
     n = nearest(pair, pair.e)[1]
-    s, E = _radius(pair, n), _extent(pair, n)
+    s = _radius(pair, n)
     inside = s == 0
     n = n / np.where(inside, 1, s)[:, None]
     value = np.where(inside, 0, np.sum(n * pair.k, axis=1) - _extent(pair, n))
-    del E
     return Answer(value, n, np.ones_like(value), value)
 
 
@@ -153,7 +152,7 @@ def distance(pairs: Scene, start: np.ndarray | None = None) -> Answer:
 
 def gradient(pairs: Scene, at: Answer) -> Scene:
     """The derivatives of an answer in the six fields, with its n held."""
-    C, U, e, K, V, a = (x.astype(LONG) for x in pairs)
+    C, U, _, K, V, a = (x.astype(LONG) for x in pairs)
     world = np.einsum("nri,ni->nr", U, at.n)
     along = np.einsum("nrp,nr->np", V, world)
     s = np.sqrt(np.sum((a * along) ** 2, axis=1))
@@ -171,7 +170,7 @@ def gradient(pairs: Scene, at: Answer) -> Scene:
 
 
 def nearest(pair: Canonical, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """q (n,) and the multipliers (n, 3) for the half extents e, as `jaxbe.kernel`."""
+    """The kernel of `jaxbe.kernel` at half extents e: q (n,) and multipliers (n, 3)."""
     low, high = -e - pair.k, e - pair.k
     found = [_candidate(order, low, high, pair) for order in ORDERS]
     keys = np.stack([key for key, *_ in found])

@@ -14,14 +14,13 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxbe.components import split_vector, stack, with_rank
 from jaxbe.shapes import Box, Ellipsoid
-from jaxbe.touching import TouchingPoint
 from jaxbe.types import Components, Scalars
 
 
@@ -33,7 +32,7 @@ def directional_derivative(
     *,
     of_extent: Scalars,
     of_radius: Scalars,
-    contact: TouchingPoint | None = None,
+    reach: Components | None = None,
 ) -> Scalars:
     """n.k - of_extent * E - of_radius * s, differentiated with n and the factors held.
 
@@ -44,12 +43,10 @@ def directional_derivative(
         radius: s at n; anything where n is zero.
         of_extent: the factor of the box's support function.
         of_radius: the factor of the ellipsoid's.
-        contact: x - k for the point x in which the scaled bodies touch, in box axes and
-            metres: minus of_radius S n / s. Taken from n where it is not given, which
-            loses digits where rods cross: two for each power of ten of the aspect
-            ratio.
+        reach: a_p^2 v_p.n of_radius / s in metres, as `jaxbe.touching` has it, for
+            bodies that touch when scaled by the two factors. Else it is taken from n.
     """
-    gradients = _gradients(bodies, n, radius, of_extent, of_radius, contact)
+    gradients = _gradients(bodies, n, radius, of_extent, of_radius, reach)
     pairs = zip(jax.tree.leaves(tangents), gradients, strict=True)
     rank = radius.ndim
     terms = (_contract(d, gradient, rank) for d, gradient in pairs)
@@ -62,7 +59,7 @@ def _gradients(
     radius: Scalars,
     of_extent: Scalars,
     of_radius: Scalars,
-    contact: TouchingPoint | None,
+    touching: Components | None,
 ) -> tuple[jax.Array, ...]:
     """The derivatives in C, U, e, K, V and a.
 
@@ -75,23 +72,22 @@ def _gradients(
     U, V = with_rank(box.axes, rank + 2), with_rank(ellipsoid.axes, rank + 2)
     a = with_rank(ellipsoid.semi_axes, rank + 1)
     K, C = (with_rank(b.center, rank + 1) for b in (ellipsoid, box))
-    safe_radius = jnp.where(radius == 0, 1, radius)[..., None]
+    safe_radius = jnp.where(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
     # Divided last: XLA makes one division of two, and would undo what keeps the factor.
-    share = a * along * of_radius[..., None] / safe_radius
+    share = a * along * of_radius[..., None] / safe_radius[..., None]
     reach = a * share
     of_a = along * share
+    if touching is not None:
+        reach = instead(stack(touching), reach)
+        per_a = reach / a
+        per_factor = radius / jnp.where(of_radius == 0, 1, of_radius)
+        of_a = instead(per_a * per_a * (per_factor[..., None] / a), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
-    if contact is not None:
-        arm = _instead(_combination(lambda i: U[..., i], contact.x), arm)
-        turned = _combination(lambda i: U[..., i], contact.d)
-        accurate = _by_point(
-            ellipsoid, world, along, contact, turned, radius, of_radius
-        )
-        reach = _instead(accurate.reach, reach)
-        of_a = _instead(accurate.of_a, of_a)
     normal = stack(n)
+    if touching is not None:
+        arm = instead(_on_box(box, normal, of_extent, arm), arm)
     return (
         -world,
         arm[..., :, None] * normal[..., None, :],
@@ -102,68 +98,30 @@ def _gradients(
     )
 
 
-class _ByPoint(NamedTuple):
-    """What belongs to the ellipsoid's axes (..., 3), with the help of the point.
+def _on_box(
+    box: Box, normal: jax.Array, of_extent: Scalars, arm: jax.Array
+) -> jax.Array:
+    """The touching point from the box's centre, in world axes: exact where on a bound.
 
-    Attributes:
-        reach: a_p^2 v_p.w of_radius / s.
-        of_a: a_p (v_p.w)^2 of_radius / s.
+    Far from each other, the bodies' centres have not its digits.
     """
-
-    reach: jax.Array
-    of_a: jax.Array
-
-
-def _by_point(
-    ellipsoid: Ellipsoid,
-    world: jax.Array,
-    along: jax.Array,
-    contact: TouchingPoint,
-    turned: jax.Array,
-    radius: Scalars,
-    of_radius: Scalars,
-) -> _ByPoint:
-    """Along a long axis v_p.w cancels; along a short one the point's coordinate does.
-
-    The one has the rounding of w, the other that of x and k. With t_p = a_p v_p.w / s,
-    a unit vector, s follows from the short axes, to the scale of this w.
-    """
-    rank = radius.ndim
-    V = with_rank(ellipsoid.axes, rank + 2)
-    a = with_rank(ellipsoid.semi_axes, rank + 1)
-    s, factor = radius[..., None], of_radius[..., None]
-    safe = jnp.where(factor == 0, 1, factor)
-    reach = -_combination(lambda r: V[..., r, :], split_vector(turned, rank))
-    t = reach / a / safe
-    lengths = _size(stack(contact.x)) + _size(stack(contact.d))
-    is_long = (a * factor) * (a * _size(world)) > s * lengths
-    short = jnp.where(is_long, 0, a * along)
-    rest = 1 - _squared(jnp.where(is_long, t, 0))
-    s = jnp.where(rest > 0.5, jnp.sqrt(_squared(short) / rest), s)
-    share = a * along * factor / jnp.where(s == 0, 1, s)
-    return _ByPoint(
-        jnp.where(is_long, reach, a * share),
-        jnp.where(is_long, t * factor * t * (s / a), along * share),
-    )
+    rank = of_extent.ndim
+    U = with_rank(box.axes, rank + 2)
+    bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
+    free = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
+    x = jnp.where(normal == 0, free, jnp.sign(normal) * bound)
+    return _combination(lambda i: U[..., i], split_vector(x, rank))
 
 
 @jax.custom_jvp
-def _instead(accurate: jax.Array, formula: jax.Array) -> jax.Array:
+def instead(accurate: jax.Array, formula: jax.Array) -> jax.Array:
     """The first, with the derivatives of the second."""
     return accurate
 
 
-@_instead.defjvp
+@instead.defjvp
 def _instead_jvp(primals: Any, tangents: Any) -> Any:
-    return _instead(*primals), tangents[1]
-
-
-def _squared(x: jax.Array) -> jax.Array:
-    return jnp.sum(x * x, axis=-1, keepdims=True)
-
-
-def _size(x: jax.Array) -> jax.Array:
-    return jnp.max(abs(x), axis=-1, keepdims=True)
+    return instead(*primals), tangents[1]
 
 
 def _combination(vectors: Callable[[int], jax.Array], weights: Components) -> jax.Array:

@@ -1,76 +1,75 @@
-"""The point in which box and ellipsoid touch when they are scaled to do so.
+"""Where the scaled ellipsoid touches the scaled box, to rounding.
 
-Known from the kernel to rounding. From the contact normal it follows too, but loses two
-digits for each power of ten of the aspect ratio where rods cross: the derivatives in
-the axes need it.
+The derivatives in the axes and the semi-axes need the touching point, of_radius S n / s
+from the ellipsoid's centre. From the contact normal n it follows, but where rods cross
+it loses two digits for each power of ten of the aspect ratio: along a long axis v_p.n
+cancels. The kernel knows the point itself; along a short axis that one cancels.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jaxbe.components import column, dot, split_matrix, split_vector, vector
-from jaxbe.kept import kept, kept_pair
-from jaxbe.kernel import nearest
-from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
-from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.components import column, dot, is_zero, largest, matrix, vector
+from jaxbe.kept import shared
+from jaxbe.kernel import Nearest
+from jaxbe.pose import CanonicalPair
 from jaxbe.types import Components, Scalars
 
 
-class TouchingPoint(NamedTuple):
-    """The nearest point x of the scaled box, in box axes and metres.
+class Touching(NamedTuple):
+    """The point, and the support function to its scale.
 
     Attributes:
-        x: from the box's centre; exact on the bounds.
-        d: from the ellipsoid's centre.
+        reach: from the ellipsoid's centre, in its axes, in the pair's units.
+        radius: s = sqrt(n^T S n) of the very n given. The kernel's sqrt(q) is that of
+            an n without rounding, from which a thin plate's differs in its scale.
     """
 
-    x: Components
-    d: Components
+    reach: Components
+    radius: Scalars
 
 
-def touching_point(box: Box, ellipsoid: Ellipsoid, alpha: Scalars) -> TouchingPoint:
-    """Of the box scaled by alpha. A value: its derivatives are zero.
+def touching(
+    pair: CanonicalPair, near: Nearest, n: Components, s: Scalars, factor: Scalars
+) -> Touching:
+    """By the direction or by the point, for each axis what is more accurate.
 
-    In two loops of their own, which keep d where x is free, and the side of the box
-    where it is not.
+    With t_p = a_p v_p.n / s, a unit vector, s follows from the short axes alone, unless
+    they are little of it.
+
+    Args:
+        pair: the bodies.
+        near: the kernel's answer for the scaled box.
+        n: the direction, of any length.
+        s: its support function, roughly.
+        factor: by which the ellipsoid is scaled, of_radius.
     """
-    box, ellipsoid, alpha = jax.lax.stop_gradient((box, ellipsoid, alpha))
-    rank = alpha.ndim
-    given = split_vector(ellipsoid.semi_axes, rank)[0]
-    pair = canonical_pair(box, ellipsoid)
-    p_0, p_1 = kept_pair(*_free_or_side(in_other_units(pair, 32), alpha)[:2], given)
-    p_2 = kept(_free_or_side(in_other_units(pair, 64), alpha)[2], given)
-    K, C = (split_vector(body.center, rank) for body in (ellipsoid, box))
-    U, e = split_matrix(box.axes, rank), split_vector(box.half_extents, rank)
-    offset = vector(lambda i: K[i] - C[i])
-    k = vector(lambda i: dot(column(U, i), offset))
-    p = p_0, p_1, p_2
-    bound = vector(lambda i: jnp.sign(p[i]) * alpha * e[i])
-    on_side = vector(lambda i: abs(p[i]) >= _side(p[i]))
-    return TouchingPoint(
-        vector(lambda i: jnp.where(on_side[i], bound[i], k[i] + p[i])),
-        vector(lambda i: jnp.where(on_side[i], bound[i] - k[i], p[i])),
+    a = pair.a
+    # Used before and after: see `shared`.
+    R = matrix(lambda i, j: shared(pair.R[i][j]))
+    along = vector(lambda p: dot(column(R, p), n))
+    point = vector(lambda p: -dot(column(R, p), near.d))
+    size = largest(vector(lambda i: abs(n[i])))
+    lengths = largest(vector(lambda i: jnp.maximum(abs(near.x[i]), abs(near.d[i]))))
+    # Where the box reaches the centre to rounding, there is no point to be had.
+    apart = ~is_zero(near.d)
+    is_long = vector(
+        lambda p: apart & (a[p] * a[p] * (factor * size) > 2 * s * lengths)
     )
-
-
-def _free_or_side(pair: CanonicalPair, alpha: Scalars) -> Components:
-    """D in metres, or a number beyond all lengths with the sign of x."""
-    grown = vector(lambda i: alpha * pair.e[i])
-    near = nearest(pair.k, grown, metric(pair.R, pair.a))
-    return vector(
-        lambda i: jnp.where(
-            near.active[i],
-            jnp.where(near.d[i] + pair.k[i] < 0, -_side(pair.e[i]), _side(pair.e[i])),
-            near.d[i] / pair.per_unit,
-        )
+    reciprocal = vector(
+        lambda p: shared(1 / (a[p] * jnp.where(factor == 0, 1, factor)))
     )
-
-
-def _side(x: Scalars) -> float:
-    return float(np.finfo(x.dtype).max) / 4
+    t = vector(lambda p: jnp.where(is_long[p], point[p] * reciprocal[p], 0))
+    short = vector(lambda p: jnp.where(is_long[p], 0, a[p] * along[p]))
+    rest = 1 - dot(t, t)
+    every = vector(lambda p: a[p] * along[p])
+    alone = shared(dot(short, short) / rest)
+    s = shared(jnp.sqrt(jnp.where(rest > 0.5, alone, dot(every, every))))
+    scale = shared(factor / jnp.where(s == 0, 1, s))
+    reach = vector(
+        lambda p: jnp.where(is_long[p], point[p], a[p] * (a[p] * along[p]) * scale)
+    )
+    return Touching(reach, s)
