@@ -68,6 +68,7 @@ QUERIES = {
     ),
 }
 OVERLAP = "overlap"
+CHUNK = 128
 
 
 class TrueAnswer(NamedTuple):
@@ -88,10 +89,14 @@ class TrueAnswer(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Errors over conditioning (n,), and which answers are not finite or wrong (n,)."""
+    """Errors over conditioning (n,), and which answers are not finite or wrong (n,).
+
+    Of gradients also the ratios by field, (n, 6).
+    """
 
     ratio: np.ndarray
     lost: np.ndarray
+    by_field: np.ndarray | None = None
 
 
 @functools.cache
@@ -161,11 +166,11 @@ def judge(
         error = np.where(true.judged, error, abs(value - along))
         conditioning = np.where(true.judged, conditioning, rounding)
     off = _by_field([x - y for x, y in zip(gradient, true.gradient, strict=True)])
-    of_gradient = np.max(_ratio(off, true.of_gradient), axis=1)
+    by_field = np.where(true.judged[:, None], _ratio(off, true.of_gradient), 0)
     finite = [np.isfinite(x).reshape(scene.size, -1).all(axis=1) for x in gradient]
     return (
         Judged(_ratio(error, conditioning), ~np.isfinite(value)),
-        Judged(np.where(true.judged, of_gradient, 0), ~np.all(finite, axis=0)),
+        Judged(by_field.max(axis=1), ~np.all(finite, axis=0), by_field),
     )
 
 
@@ -173,13 +178,21 @@ def found(
     scene: Scene, name: str, steps: int | None, exponent: int
 ) -> tuple[np.ndarray, Scene]:
     """What the library says, in extended precision, in units of the exponent."""
-    value, gradient = compiled(name, steps)(*scene.bodies())
     metres = LONG(2.0) ** exponent
     per_value = 1 / metres if QUERIES[name].is_length else LONG(1)
-    arrays = [x for body in gradient for x in body.fields().values()]
-    fields = [np.asarray(x).astype(LONG) * per_value for x in arrays]
-    fields = [x if i in (1, 4) else x * metres for i, x in enumerate(fields)]
-    return np.asarray(value).astype(LONG) * per_value, Scene(*fields)
+    value, *arrays = (x * per_value for x in in_chunks(compiled(name, steps), scene))
+    fields = [x if i in (1, 4) else x * metres for i, x in enumerate(arrays)]
+    return value, Scene(*fields)
+
+
+def in_chunks(function: Callable[..., Any], scene: Scene) -> list[np.ndarray]:
+    """The arrays that a function gives, so many pairs at a time: it compiles once."""
+    parts = []
+    for start in range(0, scene.size, CHUNK):
+        which = np.arange(start, start + CHUNK) % scene.size
+        leaves = jax.tree.leaves(function(*scene.part(which).bodies()))
+        parts.append([np.asarray(x).astype(LONG) for x in leaves])
+    return [np.concatenate(x)[: scene.size] for x in zip(*parts, strict=True)]
 
 
 def along_own_direction(
@@ -219,15 +232,20 @@ def judge_verdicts(
     scene: Scene, exponent: int, true: TrueAnswer, right: np.ndarray
 ) -> Judged:
     """How far from touching wrong verdicts are, over the conditioning of sqrt(q)."""
-    bodies = scaled(scene, exponent).bodies()
-    given = [np.asarray(verdicts(method)(*bodies)) for method in jaxbe.METHODS]
+    there = scaled(scene, exponent)
+    given = [in_chunks(verdicts(method), there)[0] for method in jaxbe.METHODS]
     wrong = np.any([x != right for x in given], axis=0)
     ratio = _ratio(abs(true.value - 1), true.conditioning)
     return Judged(np.where(wrong, ratio, 0), wrong)
 
 
 def measure_cell(
-    aspect: float, distance: str | float, dtype: str, sizes: Sequence[int], n: int
+    aspect: float,
+    distance: str | float,
+    dtype: str,
+    sizes: Sequence[int],
+    n: int,
+    more: bool = True,
 ) -> Iterator[dict[str, Any]]:
     """Entries of one cell, one for each size and row; and at more steps."""
     scene = pairs(aspect, distance, dtype, n)
@@ -243,7 +261,7 @@ def measure_cell(
                 yield _entry(row, at, size, result)
     for name, true in truths.items():
         steps = QUERIES[name].more_steps
-        if steps is not None:
+        if more and steps is not None:
             both = judge(scene, 0, name, steps, true)
             for row, result in zip(_rows(name), both, strict=True):
                 yield _entry(row, at, 0, result) | {"steps": steps}
@@ -254,13 +272,17 @@ def _rows(name: str) -> tuple[str, str]:
 
 
 def _entry(row: str, at: dict[str, Any], size: int, judged: Judged) -> dict[str, Any]:
-    return at | {
+    entry = at | {
         "row": row,
         "size": size,
         "ratio": float(f"{np.max(judged.ratio):.3g}"),
         "beyond": int(np.sum(judged.ratio > extremes_report.CLEAN)),
         "lost": int(np.sum(judged.lost)),
     }
+    if judged.by_field is None:
+        return entry
+    worst = [float(f"{x:.3g}") for x in judged.by_field.max(axis=0)]
+    return entry | {"fields": worst}
 
 
 def measure(
@@ -268,12 +290,13 @@ def measure(
     aspects: Sequence[float],
     sizes: Sequence[int],
     n: int,
+    more: bool,
     tick: Callable[[], Any],
 ) -> list[dict[str, Any]]:
-    """All cells."""
+    """All cells; `more`: at more steps too."""
     entries: list[dict[str, Any]] = []
     for dtype, aspect, distance in itertools.product(dtypes, aspects, DISTANCES):
-        entries += measure_cell(aspect, distance, dtype, sizes, n)
+        entries += measure_cell(aspect, distance, dtype, sizes, n, more)
         tick()
     return entries
 
@@ -294,7 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         total = len(dtypes) * len(aspects) * len(DISTANCES)
         bar = progress.add_task("cells", total=total)
         tick = functools.partial(progress.advance, bar)
-        entries = measure(dtypes, aspects, sizes, n, tick)
+        entries = measure(dtypes, aspects, sizes, n, not options.quick, tick)
     numbers = {"machine": machine.describe(), "pairs": n}
     numbers |= extremes_report.maps(entries)
     report.write(options, extremes_report.text(numbers), numbers)

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe.components import split_vector, stack, with_rank
+from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars
 
@@ -81,9 +82,9 @@ def _gradients(
     of_a = along * share
     if touching is not None:
         reach = instead(stack(touching), reach)
-        per_a = reach / a
-        per_factor = radius / jnp.where(of_radius == 0, 1, of_radius)
-        of_a = instead(per_a * per_a * (per_factor[..., None] / a), of_a)
+        per_a = shared(reach / a)
+        factor = jnp.where(of_radius == 0, 1, of_radius)[..., None]
+        of_a = instead(per_a * per_a * radius[..., None] / (a * factor), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
