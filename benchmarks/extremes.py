@@ -24,7 +24,7 @@ import jax
 import numpy as np
 
 import jaxbe
-from benchmarks import extended, extremes_report, machine, report
+from benchmarks import extended, extremes_figure, extremes_report, machine, report
 from benchmarks.extended import Answer
 from benchmarks.extremes_scenes import (
     ASPECTS,
@@ -91,12 +91,14 @@ class TrueAnswer(NamedTuple):
 class Judged(NamedTuple):
     """Errors over conditioning (n,), and which answers are not finite or wrong (n,).
 
-    Of gradients also the ratios by field, (n, 6).
+    Of gradients also the ratios by field, (n, 6), and the error of the derivatives in
+    the ellipsoid's centre relative to their size, (n,).
     """
 
     ratio: np.ndarray
     lost: np.ndarray
     by_field: np.ndarray | None = None
+    direction: np.ndarray | None = None
 
 
 @functools.cache
@@ -170,8 +172,20 @@ def judge(
     finite = [np.isfinite(x).reshape(scene.size, -1).all(axis=1) for x in gradient]
     return (
         Judged(_ratio(error, conditioning), ~np.isfinite(value)),
-        Judged(by_field.max(axis=1), ~np.all(finite, axis=0), by_field),
+        Judged(
+            by_field.max(axis=1),
+            ~np.all(finite, axis=0),
+            by_field,
+            _direction_error(gradient, true),
+        ),
     )
+
+
+def _direction_error(gradient: Scene, true: TrueAnswer) -> np.ndarray:
+    """Of the derivatives in the ellipsoid's centre, relative to the largest."""
+    size = abs(true.gradient.K).max(axis=1)
+    error = abs(gradient.K - true.gradient.K).max(axis=1)
+    return np.where(true.judged & (size > 0), error / np.where(size > 0, size, 1), 0)
 
 
 def found(
@@ -279,10 +293,11 @@ def _entry(row: str, at: dict[str, Any], size: int, judged: Judged) -> dict[str,
         "beyond": int(np.sum(judged.ratio > extremes_report.CLEAN)),
         "lost": int(np.sum(judged.lost)),
     }
-    if judged.by_field is None:
+    if judged.by_field is None or judged.direction is None:
         return entry
     worst = [float(f"{x:.3g}") for x in judged.by_field.max(axis=0)]
-    return entry | {"fields": worst}
+    direction = float(f"{judged.direction.max():.3g}")
+    return entry | {"fields": worst, "direction": direction}
 
 
 def measure(
@@ -322,7 +337,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     numbers |= extremes_report.maps(entries)
     report.write(options, extremes_report.text(numbers), numbers)
     if options.figure:
-        extremes_report.draw(numbers, options.figure)
+        extremes_figure.draw(numbers, options.figure)
 
 
 if __name__ == "__main__":

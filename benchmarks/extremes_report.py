@@ -1,13 +1,11 @@
-"""The report of `benchmarks.extremes`: tables, what explains the cells, a figure."""
+"""The report of `benchmarks.extremes`: tables, and what explains the cells."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import report
-from benchmarks.extremes_scenes import DISTANCES
 
 CLEAN = 10.0
 """Errors over conditioning up to this are clean."""
@@ -21,7 +19,6 @@ FIELDS = (
     "ellipsoid.semi_axes",
 )
 ROTATED = {"box.axes", "ellipsoid.axes", "ellipsoid.semi_axes"}
-INK = "#444444"
 
 
 class Cell(NamedTuple):
@@ -33,6 +30,8 @@ class Cell(NamedTuple):
         lost: answers that are not finite; of `overlap`, wrong verdicts.
         fields: of gradients, the fields of the bodies with a ratio above CLEAN.
         more_steps: the ratio at more steps, where there are steps.
+        direction: of gradients, the largest error of the derivatives in the ellipsoid's
+            centre, relative to their size.
     """
 
     row: str
@@ -44,6 +43,7 @@ class Cell(NamedTuple):
     lost: int
     fields: tuple[str, ...]
     more_steps: float | None
+    direction: float
 
     @property
     def is_clean(self) -> bool:
@@ -88,11 +88,21 @@ REASONS = (
         ),
     ),
     Reason(
+        "**Directions to the square root of rounding.** The value is stationary in the "
+        "direction: what turns it by sqrt(eps) leaves no trace in the value, and a "
+        "search that ends when the value no longer improves cannot tell.",
+        lambda c: (
+            "gradient" in c.row
+            and not c.lost
+            and c.direction <= (2.4e-7 if c.dtype == "float64" else 5.5e-3)
+        ),
+    ),
+    Reason(
         "**Residuals below the spacing of floats.** In float32 at aspect ratios from "
         "1e5 on, the nearest point of the box is so near to the plane of a thin plate "
         "that its distance, some a_min, is not a difference of floats of its size: the "
-        "margin is right, but its direction may be that of a neighbouring contact "
-        "(vertex, edge).",
+        "margin is right, but its gradient may be that of a neighbouring contact "
+        "(vertex, edge), and longer by the aspect ratio.",
         lambda c: (
             c.row == "margin, gradient"
             and c.dtype != "float64"
@@ -132,6 +142,7 @@ def maps(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
                     e["ratio"]
                     for e in at_default
                     if (e["dtype"], e["aspect"], e["size"]) == (dtype, aspect, size)
+                    and "fields" not in e
                 )
                 for size in sizes
             ]
@@ -167,6 +178,7 @@ def _cell(same: Sequence[dict[str, Any]], more_steps: float | None) -> Cell:
         max(e["lost"] for e in same),
         tuple(name for name, ratio in fields if ratio > CLEAN),
         more_steps,
+        max(e.get("direction", 0.0) for e in same),
     )
 
 
@@ -176,7 +188,7 @@ def _compact(cell: Cell) -> str:
     fields = "+".join(cell.fields)
     return (
         f"{cell.row}|{cell.dtype}|{cell.aspect:g}|{cell.distance}|{cell.ratio:g}|"
-        f"{cell.beyond}|{cell.lost}|{fields}|{more}"
+        f"{cell.beyond}|{cell.lost}|{fields}|{more}|{cell.direction:g}"
     )
 
 
@@ -186,7 +198,8 @@ def cells(numbers: dict[str, Any]) -> list[Cell]:
 
 
 def _read(line: str) -> Cell:
-    row, dtype, aspect, distance, ratio, beyond, lost, fields, more = line.split("|")
+    row, dtype, aspect, distance, ratio, beyond, lost, *rest = line.split("|")
+    fields, more, direction = rest
     return Cell(
         row,
         dtype,
@@ -197,6 +210,7 @@ def _read(line: str) -> Cell:
         int(lost),
         tuple(filter(None, fields.split("+"))),
         float(more) if more else None,
+        float(direction),
     )
 
 
@@ -229,6 +243,9 @@ that overlap is judged along the direction found.
 {_verdicts(every)}
 
 ## Cells that are not clean
+
+"In the centres": the largest error of the derivatives in the ellipsoid's centre, \
+relative to their size.
 
 {_explanations(unclean)}
 
@@ -293,11 +310,23 @@ def _explanations(unclean: Sequence[Cell]) -> str:
             rows = ", ".join(dict.fromkeys(c.row for c in met))
             worst = max(c.ratio for c in met)
             pairs = sum(c.beyond for c in met)
-            parts.append(
+            part = (
                 f"- {words} {len(met)} cells ({rows}), {pairs} pairs, aspect ratios "
                 f"from {min(c.aspect for c in met):g}, worst {worst:.2g}."
             )
+            if "gradient" in rows:
+                part += f" In the centres: {_directions(met)}."
+            parts.append(part)
     return "\n".join(parts) or "None."
+
+
+def _directions(met: Sequence[Cell]) -> str:
+    """The largest relative errors of the derivatives in the centres, by dtype."""
+    dtypes = dict.fromkeys(c.dtype for c in met)
+    return ", ".join(
+        f"{dtype} {max(c.direction for c in met if c.dtype == dtype):.1g}"
+        for dtype in dtypes
+    )
 
 
 def _worst(unclean: Sequence[Cell]) -> str:
@@ -330,93 +359,3 @@ def _worst(unclean: Sequence[Cell]) -> str:
 
 def _distinct(entries: Sequence[dict[str, Any]], key: str) -> list[Any]:
     return list(dict.fromkeys(e[key] for e in entries))
-
-
-def draw(numbers: dict[str, Any], file: Path) -> None:
-    """Aspect ratio against distance for each function, against size for the worst."""
-    # Here, so that the tables do not need matplotlib.
-    from matplotlib.figure import Figure
-
-    rows, dtypes = numbers["rows"], numbers["dtypes"]
-    height = 1.75 * (len(rows) + 1) + 1
-    figure = Figure(figsize=(4.6 * len(dtypes) + 1, height), layout="constrained")
-    panels = figure.subplots(len(rows) + 1, len(dtypes), squeeze=False)
-    every = {(c.row, c.dtype, c.aspect, c.distance): c for c in cells(numbers)}
-    for line, row in zip(panels, rows, strict=False):
-        for axes, dtype in zip(line, dtypes, strict=True):
-            image = _draw_row(axes, every, row, dtype, numbers["aspects"])
-            axes.set_title(f"{row}, {dtype}", fontsize=8, color=INK)
-    for axes, dtype in zip(panels[-1], dtypes, strict=True):
-        _draw_sizes(axes, numbers, dtype)
-        axes.set_title(f"worst of all, {dtype}, by size", fontsize=8, color=INK)
-    bar = figure.colorbar(image, ax=panels, shrink=0.3, aspect=30, extend="both")
-    bar.set_label(f"error / conditioning (clean up to {CLEAN:g})", fontsize=8)
-    bar.ax.tick_params(labelsize=7)
-    figure.suptitle(
-        "Largest error over what rounding the inputs must lose. Numbers: above "
-        f"{CLEAN:g}; w: wrong verdicts; NaN: not finite",
-        fontsize=9,
-        color=INK,
-    )
-    figure.savefig(file, dpi=110)
-
-
-def _draw_row(
-    axes: Any, every: dict[Any, Cell], row: str, dtype: str, aspects: Sequence[float]
-) -> Any:
-    distances = list(map(str, DISTANCES))
-    table = [[every[row, dtype, a, d] for d in distances] for a in aspects]
-    image = _image(axes, [[c.ratio for c in line] for line in table], aspects)
-    for y, line in enumerate(table):
-        for x, cell in enumerate(line):
-            mark = _number(cell.ratio)
-            if cell.lost:
-                mark = f"{cell.lost} w" if row == "overlap" else "NaN"
-            _mark(axes, x, y, mark, cell.ratio)
-    names = [_gap(d) for d in distances]
-    axes.set_xticks(range(len(names)), names, fontsize=6)
-    return image
-
-
-def _draw_sizes(axes: Any, numbers: dict[str, Any], dtype: str) -> None:
-    table = numbers["worst_by_size"][dtype]
-    _image(axes, table, numbers["aspects"])
-    for y, line in enumerate(table):
-        for x, ratio in enumerate(line):
-            _mark(axes, x, y, _number(ratio), ratio)
-    names = [f"{2.0**m:.0e} m" for m in numbers["sizes"]]
-    axes.set_xticks(range(len(names)), names, fontsize=6)
-
-
-def _image(
-    axes: Any, table: Sequence[Sequence[float]], aspects: Sequence[float]
-) -> Any:
-    from matplotlib.colors import LogNorm
-
-    floor = [[max(ratio, 1e-3) for ratio in line] for line in table]
-    image = axes.imshow(
-        floor, norm=LogNorm(0.1, 1e3), cmap="cividis_r", aspect="auto", origin="lower"
-    )
-    names = [f"{a:.0e}".replace("e+0", "e") for a in aspects]
-    axes.set_yticks(range(len(aspects)), names, fontsize=6)
-    axes.set_ylabel("aspect ratio", fontsize=6)
-    axes.tick_params(length=0)
-    return image
-
-
-def _number(ratio: float) -> str:
-    if ratio <= CLEAN:
-        return ""
-    return f"{ratio:.0f}" if ratio < 1000 else f"{ratio:.0e}".replace("e+0", "e")
-
-
-def _mark(axes: Any, x: int, y: int, words: str, ratio: float) -> None:
-    color = "white" if ratio > 30 else "#C00000" if ratio <= CLEAN else "black"
-    axes.text(x, y, words, ha="center", va="center", fontsize=5.5, color=color)
-
-
-def _gap(distance: str) -> str:
-    try:
-        return f"{float(distance):g}"
-    except ValueError:
-        return distance
