@@ -319,7 +319,7 @@ def measure(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures, prints, writes, draws."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--pairs", type=int, default=150, help="in each cell")
+    parser.add_argument("--pairs", type=int, default=100, help="in each cell")
     parser.add_argument("--quick", action="store_true", help="few cells, few pairs")
     report.add_output_options(parser)
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the maps")
