@@ -12,6 +12,7 @@ from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import active_inverse, metric
 from jaxbe.pose import CanonicalPair
 from jaxbe.support import along_axes, extent
+from jaxbe.touching import touching
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
 
@@ -34,10 +35,18 @@ def contact_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     Where the grown box reaches the centre to rounding (a needle seen end on beside
     a huge box, or coincident centres) it is the best face normal of the box.
     """
-    n, radius = _multipliers(pair, _nearest(pair, alpha))
+    near = _nearest(pair, alpha)
+    n, radius = _multipliers(pair, near)
     total = extent(n, pair.e) + radius
+    radius = touching(pair, near, n, radius, alpha).radius
     # Each by a division of its own: products with 1 / total are split into 13 loops.
     return ContactNormal(vector(lambda i: n[i] / total), radius / total)
+
+
+def contact_reach(pair: CanonicalPair, alpha: Scalars) -> Components:
+    """Where the scaled ellipsoid touches, from its centre, in its axes."""
+    near = _nearest(pair, alpha)
+    return touching(pair, near, *_multipliers(pair, near), alpha).reach
 
 
 @contact_normal.defjvp
@@ -73,7 +82,9 @@ def _multipliers(pair: CanonicalPair, near: Nearest) -> tuple[Components, Scalar
     width = metric(pair.R, pair.a).width
     face = _face_normal(pair, width)
     on_face = dot(vector(lambda i: abs(face[i])), width)
-    return where(lost, face, near.n), jnp.where(lost, on_face, jnp.sqrt(near.q))
+    # Of a free coordinate nothing but rounding can be left.
+    n = vector(lambda i: jnp.where(near.active[i], near.n[i], 0))
+    return where(lost, face, n), jnp.where(lost, on_face, jnp.sqrt(near.q))
 
 
 def _multipliers_tangent(primals: Any, tangents: Any, near: Nearest) -> Components:

@@ -14,11 +14,13 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxbe.components import split_vector, stack, with_rank
+from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars
 
@@ -31,6 +33,7 @@ def directional_derivative(
     *,
     of_extent: Scalars,
     of_radius: Scalars,
+    reach: Components | None = None,
 ) -> Scalars:
     """n.k - of_extent * E - of_radius * s, differentiated with n and the factors held.
 
@@ -41,8 +44,10 @@ def directional_derivative(
         radius: s at n; anything where n is zero.
         of_extent: the factor of the box's support function.
         of_radius: the factor of the ellipsoid's.
+        reach: a_p^2 v_p.n of_radius / s in metres, as `jaxbe.touching` has it, for
+            bodies that touch when scaled by the two factors. Else it is taken from n.
     """
-    gradients = _gradients(bodies, n, radius, of_extent, of_radius)
+    gradients = _gradients(bodies, n, radius, of_extent, of_radius, reach)
     pairs = zip(jax.tree.leaves(tangents), gradients, strict=True)
     rank = radius.ndim
     terms = (_contract(d, gradient, rank) for d, gradient in pairs)
@@ -55,6 +60,7 @@ def _gradients(
     radius: Scalars,
     of_extent: Scalars,
     of_radius: Scalars,
+    touching: Components | None,
 ) -> tuple[jax.Array, ...]:
     """The derivatives in C, U, e, K, V and a.
 
@@ -73,16 +79,50 @@ def _gradients(
     # Divided last: XLA makes one division of two, and would undo what keeps the factor.
     share = a * along * of_radius[..., None] / safe_radius[..., None]
     reach = a * share
+    of_a = along * share
+    if touching is not None:
+        reach = instead(stack(touching), reach)
+        per_a = shared(reach / a)
+        factor = jnp.where(of_radius == 0, 1, of_radius)[..., None]
+        of_a = instead(per_a * per_a * radius[..., None] / (a * factor), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
+    if touching is not None:
+        arm = instead(_on_box(box, normal, of_extent, arm), arm)
     return (
         -world,
         arm[..., :, None] * normal[..., None, :],
         -of_extent[..., None] * abs(normal),
         world,
         -world[..., :, None] * reach[..., None, :],
-        -along * share,
+        -of_a,
     )
+
+
+def _on_box(
+    box: Box, normal: jax.Array, of_extent: Scalars, arm: jax.Array
+) -> jax.Array:
+    """The touching point from the box's centre, in world axes: exact where on a bound.
+
+    Far from each other, the bodies' centres have not its digits.
+    """
+    rank = of_extent.ndim
+    U = with_rank(box.axes, rank + 2)
+    bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
+    free = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
+    x = jnp.where(normal == 0, free, jnp.sign(normal) * bound)
+    return _combination(lambda i: U[..., i], split_vector(x, rank))
+
+
+@jax.custom_jvp
+def instead(accurate: jax.Array, formula: jax.Array) -> jax.Array:
+    """The first, with the derivatives of the second."""
+    return accurate
+
+
+@instead.defjvp
+def _instead_jvp(primals: Any, tangents: Any) -> Any:
+    return instead(*primals), tangents[1]
 
 
 def _combination(vectors: Callable[[int], jax.Array], weights: Components) -> jax.Array:

@@ -34,7 +34,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe.components import dot, is_zero, largest, split_vector, vector
-from jaxbe.contact_normal import ContactNormal, contact_normal
+from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import Nearest, nearest
@@ -115,19 +115,26 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     alpha = growth_distance(box, ellipsoid, steps)
     given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
     alpha = kept(alpha, given)
-    n, radius = _kept_normal(box, ellipsoid, alpha)
+    n, radius, reach = _kept_contact(box, ellipsoid, alpha)
     tangent = directional_derivative(
-        bodies, tangents, n, radius, of_extent=alpha, of_radius=alpha
+        bodies,
+        tangents,
+        n,
+        radius,
+        of_extent=alpha,
+        of_radius=alpha,
+        reach=reach,
     )
     return alpha, tangent
 
 
-def _kept_normal(
+def _kept_contact(
     box: Box, ellipsoid: Ellipsoid, alpha: Scalars
-) -> tuple[Components, Scalars]:
-    """The contact normal, with e.|n| + radius = 1 in metres; 0 for coincident centres.
+) -> tuple[Components, Scalars, Components]:
+    """The contact normal, with e.|n| + radius = 1 in metres, 0 for coincident centres.
 
-    In two loops of their own.
+    And the touching point, from the ellipsoid's centre and in its axes. In four loops
+    of their own.
     """
     given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
     pair = canonical_pair(box, ellipsoid)
@@ -135,7 +142,10 @@ def _kept_normal(
     m, radius = _masked_normal(in_other_units(pair, 16), alpha)
     n_0, n_1 = kept_pair(n[0], n[1], given)
     n_2, radius = kept_pair(m[2], radius, given)
-    return (n_0, n_1, n_2), radius
+    still, at = jax.lax.stop_gradient((pair, alpha))
+    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 32), at)[:2], given)
+    r_2 = kept(_reach(in_other_units(still, 64), at)[2], given)
+    return (n_0, n_1, n_2), radius, (r_0, r_1, r_2)
 
 
 def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
@@ -143,6 +153,11 @@ def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     here = is_zero(pair.k)
     metres = vector(lambda i: jnp.where(here, 0, n[i] * pair.per_unit))
     return ContactNormal(metres, radius)
+
+
+def _reach(pair: CanonicalPair, alpha: Scalars) -> Components:
+    reach = contact_reach(pair, alpha)
+    return vector(lambda p: reach[p] / pair.per_unit)
 
 
 def start(pair: CanonicalPair, m: Metric) -> Iterate:

@@ -55,6 +55,7 @@ class Nearest(NamedTuple):
     Attributes:
         q: (x - k)^T N (x - k).
         x: the nearest point of the box, in box coordinates.
+        d: x - k.
         n: the multipliers N (k - x): they point from the box to the ellipsoid's
             centre, are normal to the ellipsoid through x, and separate the pair
             when q > 1. Zero, to rounding, where x is free, and when k is in the box.
@@ -63,6 +64,7 @@ class Nearest(NamedTuple):
 
     q: Scalars
     x: Components
+    d: Components
     n: Components
     active: tuple[Flags, Flags, Flags]
 
@@ -118,7 +120,7 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
     # Not where n is zero: a free coordinate of a sphere has an n of rounding alone.
     on_bound = [(d[i] <= low[i]) | (d[i] >= high[i]) for i in range(3)]
     active = (on_bound[0], on_bound[1], on_bound[2])
-    return Nearest(q, vector(lambda i: k[i] + d[i]), n, active)
+    return Nearest(q, vector(lambda i: k[i] + d[i]), d, n, active)
 
 
 def _bounds(k: Components, e: Components) -> tuple[Components, Components]:

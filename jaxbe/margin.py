@@ -53,8 +53,11 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
         the single entries of the axes, which a rotation cannot vary alone, they are
         those of the support functions (see `jaxbe.envelope`), as if the value were
         computed from S alone. At coincident centres, the tip of a cone, they are zero,
-        which is a subgradient. Second derivatives are right wherever they exist, and
-        one-sided where the contact changes between face, edge and vertex.
+        which is a subgradient. In float32 they can be those of a neighbouring contact
+        at aspect ratios of 1e6 and more, and those in the semi-axes of thin plates lose
+        digits from 1000 on (`benchmarks/results/extremes-cpu.md`). Second derivatives
+        are right wherever they exist, and one-sided where the contact changes between
+        face, edge and vertex.
 
     Raises:
         TypeError: arguments that are not a Box and an Ellipsoid of one dtype, or

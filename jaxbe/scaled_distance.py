@@ -14,6 +14,7 @@ from jaxbe.kept import kept, kept_pair
 from jaxbe.metric import metric
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.touching import touching
 from jaxbe.types import Components, Scalars
 
 
@@ -63,23 +64,46 @@ def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     given = split_vector(ellipsoid.semi_axes, distance.ndim)[0]
     distance = kept(distance, given)
     pair = canonical_pair(box, ellipsoid)
+    one = jnp.ones_like(distance)
     n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], given)
     n_2 = kept(_normal(in_other_units(pair, 4))[2], given)
-    one = jnp.ones_like(distance)
+    still = jax.lax.stop_gradient(pair)
+    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 8))[:2], given)
+    r_2 = kept(_reach(in_other_units(still, 16))[2], given)
     tangent = directional_derivative(
-        bodies, tangents, (n_0, n_1, n_2), one, of_extent=one, of_radius=distance
+        bodies,
+        tangents,
+        (n_0, n_1, n_2),
+        one,
+        of_extent=one,
+        of_radius=distance,
+        reach=(r_0, r_1, r_2),
     )
     return distance, tangent
 
 
 def _normal(pair: CanonicalPair) -> Components:
-    """The best direction n with s = 1, in 1 / metre; zero where the centre is inside.
-
-    The kernel's own n has s = sqrt(q).
-    """
-    near = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a))
+    """The best direction n with s = 1, in 1 / metre; zero with the centre inside."""
+    near, s = _nearest(pair)
     inside = near.q == 0
-    root = jnp.sqrt(near.q) / pair.per_unit
+    s = s / pair.per_unit
     return vector(
-        lambda i: jnp.where(inside, 0, near.n[i] / jnp.where(inside, 1, root))
+        lambda i: jnp.where(
+            inside | ~near.active[i], 0, near.n[i] / jnp.where(inside, 1, s)
+        )
     )
+
+
+def _reach(pair: CanonicalPair) -> Components:
+    """Where the scaled ellipsoid touches, from its centre, in its axes and metres."""
+    near, _ = _nearest(pair)
+    root = jnp.sqrt(near.q)
+    reach = touching(pair, near, near.n, root, root).reach
+    return vector(lambda p: reach[p] / pair.per_unit)
+
+
+def _nearest(pair: CanonicalPair) -> tuple[kernel.Nearest, Scalars]:
+    """The kernel's answer and s of its n."""
+    near = kernel.nearest(pair.k, pair.e, metric(pair.R, pair.a))
+    root = jnp.sqrt(near.q)
+    return near, touching(pair, near, near.n, root, root).radius

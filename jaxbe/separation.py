@@ -94,8 +94,10 @@ def _start(pair: CanonicalPair) -> Bracket:
     """From mu = 0: the distance along its n, which is too short, to scale."""
     zero = jnp.zeros_like(pair.k[0] + pair.e[0] + pair.a[0])
     at = trial(pair, shape(pair.R, pair.a), zero)
-    square = dot(at.near.n, at.near.n)
-    mu = at.radius * at.radius * jnp.maximum(at.radius - 1, 0) / _positive(square)
+    # n of length s = 1: its square as it stands leaves the floats, far from a plate.
+    per_radius = shared(1 / _positive(at.radius))
+    n = vector(lambda i: at.near.n[i] * per_radius)
+    mu = jnp.maximum(at.radius - 1, 0) / _positive(dot(n, n))
     high = jnp.where(at.near.q > 1, _highest(pair), zero)
     return Bracket(jnp.minimum(mu, high), zero, high)
 

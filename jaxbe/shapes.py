@@ -21,9 +21,10 @@ class _Body:
     """
 
     def __post_init__(self) -> None:
-        self._set(validate.as_floats(type(self).__name__, self.fields()))
+        kind, narrow = type(self).__name__, validate.narrow_axes(self.fields())
+        self._set(validate.as_floats(kind, self.fields()))
         self.check_form()
-        validate.check_values(type(self).__name__, self.fields())
+        validate.check_values(kind, {**self.fields(), **narrow})
 
     def __init_subclass__(cls) -> None:
         jax.tree_util.register_pytree_with_keys(
@@ -130,7 +131,9 @@ class Box(_Body):
     """A solid box: the points center + axes @ x with |x_i| <= half_extents_i.
 
     Leading axes are batch axes and broadcast. A frozen pytree: it passes
-    through `jit`, `vmap` and `grad`.
+    through `jit`, `vmap` and `grad`. Arrays of bfloat16 become float32 ones, exactly,
+    and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
+    become the nearest orthonormal ones.
 
     Args:
         center: (..., 3), metres, world frame.
@@ -140,8 +143,8 @@ class Box(_Body):
             plate, a rod, a point.
 
     Raises:
-        TypeError: a field that is not float32 or float64, or fields of two
-            dtypes.
+        TypeError: a field that is not float32, float64 or bfloat16, or fields of
+            float32 and float64.
         ValueError: wrong shapes; and, for concrete arrays, values that are not
             finite, negative half extents, or axes further from orthonormal than
             1000 units of rounding.
@@ -157,7 +160,9 @@ class Ellipsoid(_Body):
     """A solid ellipsoid: the points center + axes @ y, sum (y_i / semi_axes_i)^2 <= 1.
 
     Leading axes are batch axes and broadcast. A frozen pytree: it passes
-    through `jit`, `vmap` and `grad`.
+    through `jit`, `vmap` and `grad`. Arrays of bfloat16 become float32 ones, exactly,
+    and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
+    become the nearest orthonormal ones.
 
     Args:
         center: (..., 3), metres, world frame.
@@ -165,8 +170,8 @@ class Ellipsoid(_Body):
         semi_axes: (..., 3), metres, positive.
 
     Raises:
-        TypeError: a field that is not float32 or float64, or fields of two
-            dtypes.
+        TypeError: a field that is not float32, float64 or bfloat16, or fields of
+            float32 and float64.
         ValueError: wrong shapes; and, for concrete arrays, values that are not
             finite, semi-axes that are not positive, or axes further from
             orthonormal than 1000 units of rounding.

@@ -21,8 +21,14 @@ from jaxbe.types import ArrayLike
 
 DTYPES = ("float32", "float64")
 
+NARROW = "bfloat16"
+"""Taken by the constructors, and exactly converted to float32."""
+
 ORTHONORMAL_ROUNDINGS = 1000
 """Axes may differ from orthonormal by so many units of rounding (`eps`)."""
+
+NARROW_TOLERANCE = 0.03
+"""Or, in bfloat16, by so much: four units of rounding."""
 
 _TAILS = {"axes": (3, 3), "wxyz": (4,)}
 """The trailing axes of the fields that are not vectors of three."""
@@ -58,13 +64,17 @@ def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array
     """Converts the fields of a shape to arrays of one floating-point dtype.
 
     Python numbers and lists take the dtype of the fields that are arrays, or
-    JAX's default float.
+    JAX's default float. Arrays of bfloat16 become float32 (see `_widened`).
 
     Raises:
-        TypeError: a field is an array of another dtype than float32 or float64,
-            or two fields differ in dtype.
+        TypeError: a field is an array of another dtype than float32, float64 or
+            bfloat16, or two fields then differ in dtype.
     """
-    arrays = _of_one_dtype(kind, fields, jnp)
+    wide = {
+        name: _widened(name, jnp.asarray(x)) if hasattr(x, "dtype") else x
+        for name, x in fields.items()
+    }
+    arrays = _of_one_dtype(kind, wide, jnp)
     # A weak type would compile every caller a second time.
     return {n: lax.convert_element_type(x, x.dtype) for n, x in arrays.items()}
 
@@ -149,12 +159,47 @@ def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
             )
 
 
+def narrow_axes(fields: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """The axes among the fields if they are in bfloat16: what is left to be checked."""
+    axes = fields.get("axes")
+    is_narrow = str(getattr(axes, "dtype", "")) == NARROW
+    return {"axes": jnp.asarray(axes)} if is_narrow else {}
+
+
+def _widened(name: str, x: jax.Array) -> jax.Array:
+    """A bfloat16 array in float32, exactly; axes as the nearest orthonormal ones.
+
+    In eight bits axes are orthonormal to 1 % only, which is no rotation: what fits
+    neither the box nor the ellipsoid that was meant.
+    """
+    if str(x.dtype) != NARROW:
+        return x
+    wide = x.astype(jnp.float32)
+    if name != "axes" or x.shape[-2:] != (3, 3):
+        return wide
+    # Newton's iteration for the polar factor: a defect d becomes 3/4 d^2.
+    for _ in range(2):
+        excess = _gram(wide, jnp) - _identity(wide, jnp)
+        wide = wide - jnp.sum(wide[..., :, :, None] * excess[..., None, :, :], -2) / 2
+    return wide
+
+
 def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
-    tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
-    gram = xp.sum(axes[..., :, :, None] * axes[..., :, None, :], axis=-3)
-    identity = xp.broadcast_to(xp.eye(3, dtype=axes.dtype), gram.shape)
-    ok = xp.abs(gram - identity) <= tolerance
+    if str(axes.dtype) == NARROW:
+        axes, tolerance = axes.astype("float32"), NARROW_TOLERANCE
+    else:
+        tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
+    ok = xp.abs(_gram(axes, xp) - _identity(axes, xp)) <= tolerance
     return Rule("axes", f"orthonormal in their columns (to {tolerance:.1e})", ok)
+
+
+def _gram(axes: Any, xp: ModuleType) -> Any:
+    """The scalar products of the columns."""
+    return xp.sum(axes[..., :, :, None] * axes[..., :, None, :], axis=-3)
+
+
+def _identity(axes: Any, xp: ModuleType) -> Any:
+    return xp.broadcast_to(xp.eye(3, dtype=axes.dtype), axes.shape)
 
 
 def _first_broken(argument: str, x: np.ndarray, ok: np.ndarray) -> str:

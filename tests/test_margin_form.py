@@ -49,12 +49,12 @@ def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
 
 @pytest.mark.parametrize("query", [jaxbe.margin, jaxbe.scaled_distance])
 def test_all_gradients_take_few_loops(bodies, query):
-    """One for the value, two for the normal, the rest for what is returned.
+    """One for the value, four for the contact, the rest for what is returned.
 
-    12 with jax 0.9.2, 13 with 0.10.2; left to itself XLA makes 34.
+    15 with jax 0.9.2; left to itself XLA makes 50.
     """
     function = jax.vmap(jax.value_and_grad(query, argnums=(0, 1)))
-    assert programs.fusions(function, *bodies) <= 13
+    assert programs.fusions(function, *bodies) <= 16
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
