@@ -145,9 +145,9 @@ def _function(p: dict[str, Any]) -> str:
 
 
 def _short(p: dict[str, Any]) -> str:
-    """The count of steps, or the initial of a method."""
-    option = p["setting"].partition(", ")[2]
-    return option.split()[0].removesuffix("_features")
+    """The count of steps, or a method; "" for a function that has neither."""
+    option = str(p["setting"].partition(", ")[2])
+    return option.partition(" ")[0].removesuffix("_features")
 
 
 def _draw_legend(figure: Any) -> None:

@@ -1,0 +1,212 @@
+"""`jaxbe.plan`: the cheapest settings that keep a tolerance, and clear refusals."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import jaxbe
+from benchmarks import accuracy, scenes, settings
+from jaxbe.cli.arguments import DEFAULT_SCENE
+from jaxbe.plan_table import frontier, lines
+
+COMMON = jaxbe.SceneFacts(spread=40)
+
+
+def test_fields_are_keyword_arguments():
+    found = jaxbe.plan("overlap", "margin", "contact", scene=COMMON, tolerance=1e-4)
+    assert found.dtype == "float32"
+    box, ellipsoid = scenes.random(3).astype(np.float32).bodies()
+    for name in ("overlap", "margin", "contact"):
+        getattr(jaxbe, name)(box, ellipsoid, **getattr(found, name))
+    assert found.signed_distance is None
+    assert found.filter_contacts is None
+    assert found.drop_above is None
+
+
+def test_printed_it_says_why():
+    text = str(jaxbe.plan("margin", scene=COMMON, tolerance=1e-2))
+    assert text.startswith("float32:\n  margin(steps=")
+    assert "in 99.9 % of pairs at spread 40" in text
+    assert "ns a pair" in text
+
+
+def steps(tolerance, **options):
+    options = {"scene": COMMON} | options
+    return jaxbe.plan("margin", tolerance=tolerance, **options).margin["steps"]
+
+
+def test_a_tighter_tolerance_never_takes_fewer_steps():
+    counts = [steps(t, dtype="float64") for t in (0.9, 0.3, 1e-1, 1e-2, 1e-4, 1e-8)]
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1]
+
+
+def test_a_larger_share_of_pairs_never_takes_fewer_steps():
+    counts = [steps(1e-6, share=s) for s in (0.99, 0.999, 1.0)]
+    assert counts == sorted(counts)
+
+
+def test_no_cheaper_setting_of_the_table_would_do():
+    for tolerance in (1e-1, 1e-3, 1e-6):
+        chosen = jaxbe.plan("signed_distance", scene=COMMON, tolerance=tolerance)
+        rows = [r for r in lines("signed_distance") if not r.gradients]
+        good = [r for r in rows if r.error("distance", 1, COMMON) <= tolerance]
+        cheapest = min(good, key=lambda r: r.nanoseconds)
+        assert chosen.signed_distance == cheapest.keywords
+        assert chosen.dtype == cheapest.dtype
+
+
+def test_float64_only_where_it_is_needed():
+    assert jaxbe.plan("margin", scene=COMMON, tolerance=1e-5).dtype == "float32"
+    assert jaxbe.plan("margin", scene=COMMON, tolerance=1e-10).dtype == "float64"
+    assert jaxbe.plan("overlap", scene=COMMON, tolerance=1e-4).dtype == "float32"
+    assert jaxbe.plan("overlap", scene=COMMON, tolerance=1e-9).dtype == "float64"
+
+
+def test_without_a_tolerance_it_is_as_accurate_as_the_dtype():
+    found = jaxbe.plan("margin", scene=COMMON)
+    best = min(
+        r.error("margin", 1, COMMON)
+        for r in lines("margin")
+        if not r.gradients and r.dtype == "float32"
+    )
+    chosen = next(
+        r
+        for r in lines("margin")
+        if (r.keywords, r.dtype, r.gradients) == (found.margin, "float32", False)
+    )
+    assert chosen.error("margin", 1, COMMON) <= 2 * best
+
+
+def test_never_missing_gives_the_slack():
+    found = jaxbe.plan("overlap", scene=COMMON, never_miss=True)
+    assert found.overlap is None
+    assert found.drop_above == jaxbe.rounding_slack("float32", 40)
+    box, ellipsoid = scenes.random(5000, seed=9).astype(np.float32).bodies()
+    kept = ~(jaxbe.margin(box, ellipsoid, **found.margin) > found.drop_above)
+    overlaps = np.asarray(jaxbe.overlap(box, ellipsoid))
+    assert not np.any(overlaps & ~kept)
+    assert np.sum(kept & ~overlaps) <= 0.02 * np.sum(~overlaps)
+
+
+def test_gradients_are_planned_by_their_own_errors():
+    """A value is a maximum, right to second order where its gradient is to first."""
+    value = jaxbe.plan("margin", scene=COMMON, tolerance=1e-3, share=0.99)
+    gradient = jaxbe.plan(
+        "margin", scene=COMMON, tolerance=1e-3, share=0.99, gradients=True
+    )
+    assert gradient.margin["steps"] >= value.margin["steps"]
+
+
+def test_between_two_spreads_the_error_is_between_theirs():
+    low, middle, high = (
+        lines("margin")[2].error("margin", 1, jaxbe.SceneFacts(s)) for s in (4, 12, 40)
+    )
+    assert low < middle < high
+
+
+def test_in_a_model():
+    model = mujoco.MjModel.from_xml_path(str(DEFAULT_SCENE))
+    pairs = jaxbe.mjx.find_pairs(model)
+    facts = jaxbe.mjx.scene_facts(pairs, model)
+    box, ellipsoid = pairs.geom[:, 1], pairs.geom[:, 0]
+    smallest = model.geom_size[ellipsoid].min(axis=1)
+    longest = np.maximum(
+        model.geom_size[box].max(axis=1), model.geom_size[ellipsoid].max(axis=1)
+    )
+    assert facts.spread == pytest.approx(np.max(longest / smallest))
+    assert not facts.spheres
+    found = jaxbe.plan("filter_contacts", scene=facts)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    jaxbe.mjx.filter_contacts(pairs, model, data, **found.filter_contacts)
+
+
+def test_facts_of_a_batch():
+    box, ellipsoid = scenes.random(100).bodies()
+    facts = jaxbe.scene_facts(box, ellipsoid)
+    assert facts.spread == pytest.approx(scenes.random(100).spread.max())
+    assert not facts.spheres
+    spheres = scenes.spheres(scenes.random(100)).bodies()
+    assert jaxbe.scene_facts(*spheres).spheres
+
+
+def test_spheres_take_fewer_steps():
+    spheres = jaxbe.SceneFacts(spread=40, spheres=True)
+    assert steps(1e-4, scene=spheres) <= steps(1e-4)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "options", "error", "message"),
+    [
+        ((), {}, ValueError, "outputs must be of overlap, margin"),
+        (("margn",), {}, ValueError, "got 'margn'"),
+        (("margin",), {"scene": 40}, TypeError, "scene must be a SceneFacts, got int"),
+        (("margin",), {"dtype": "bfloat16"}, ValueError, "dtype must be"),
+        (("margin",), {"share": 0.5}, ValueError, "share must be one of 0.99"),
+        (("margin",), {"tolerance": 0.0}, ValueError, "tolerance must be positive"),
+        (("margin",), {"tolerance": 1e-30}, ValueError, r"the best in float64: margin"),
+        (
+            ("margin",),
+            {"tolerance": 1e-9, "dtype": "float32"},
+            ValueError,
+            "the best in float32: margin",
+        ),
+        (
+            ("margin",),
+            {"scene": jaxbe.SceneFacts(1e7)},
+            ValueError,
+            "beyond the table",
+        ),
+    ],
+)
+def test_refusals_say_what_would_do(outputs, options, error, message):
+    with pytest.raises(error, match=message):
+        jaxbe.plan(*outputs, **({"scene": COMMON} | options))
+
+
+def test_facts_are_checked():
+    with pytest.raises(ValueError, match=r"spread must be at least 1, got 0\.5"):
+        jaxbe.SceneFacts(0.5)
+    with pytest.raises(ValueError, match="spread must be at least 1, got nan"):
+        jaxbe.SceneFacts(float("nan"))
+    box, ellipsoid = scenes.random(2).bodies()
+    flat = jaxbe.Ellipsoid.unchecked(
+        ellipsoid.center, ellipsoid.axes, 0 * ellipsoid.semi_axes
+    )
+    with pytest.raises(ValueError, match="semi_axes positive"):
+        jaxbe.scene_facts(box, flat)
+    with pytest.raises(TypeError, match="must be known when a plan is made"):
+        jax.jit(lambda b, e: jnp.asarray(jaxbe.scene_facts(b, e).spread))(
+            box, ellipsoid
+        )
+    nobody = scenes.random(1).part(slice(0)).bodies()
+    with pytest.raises(ValueError, match="no pair"):
+        jaxbe.scene_facts(*nobody)
+
+
+def test_the_table_has_every_setting_and_says_its_origin():
+    assert "python -m benchmarks" in frontier()["command"]
+    names = {
+        (r["function"], r.get("steps"), r.get("method"), r["gradients"], r["dtype"])
+        for r in frontier()["settings"]
+    }
+    for s in settings.JUDGED:
+        for dtype in settings.DTYPES:
+            method = s.options.get("method")
+            assert (s.function, s.steps, method, s.gradients, dtype) in names
+
+
+@pytest.mark.bulk
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-5])
+def test_the_tolerance_is_kept_on_scenes_not_in_the_table(tolerance):
+    pairs = scenes.random(20_000, seed=77, low=0.03, high=1.1).astype(np.float32)
+    facts = jaxbe.scene_facts(*pairs.bodies())
+    found = jaxbe.plan("margin", scene=facts, tolerance=tolerance, dtype="float32")
+    setting = settings.Setting("margin", ("steps", found.margin["steps"]))
+    true = accuracy.margin_scenes.truth(pairs)
+    margins = np.asarray(settings.under_vmap(setting)(*pairs.bodies()), np.float64)
+    error = abs(margins - true) / np.maximum(1, 1 + true)
+    assert np.percentile(error, 99.9) <= tolerance
