@@ -23,6 +23,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import jaxbe
 from benchmarks import (
     accuracy_report,
     machine,
@@ -39,17 +40,26 @@ from tests import truth
 
 PERCENTILES = {"50": 50, "99": 99, "99.9": 99.9, "max": 100}
 
-KINDS: dict[str, tuple[float, Callable[[int, int], scenes.Scene]]] = {
-    "spheres": (40, lambda n, seed: scenes.spheres(scenes.random(n, seed))),
-    "random to 4": (4, functools.partial(scenes.random, low=0.5)),
-    "random to 40": (40, scenes.random),
-    "random to 1000": (1000, functools.partial(scenes.random, low=0.002)),
-    "random to 1e5": (1e5, functools.partial(scenes.random, low=2e-5)),
-    "near touching": (40, margin_scenes.KINDS["near touching, 0.001"]),
-    "needles": (200, margin_scenes.needles),
-    "plates": (200, margin_scenes.plates),
+LOWEST = {
+    "random to 2": 1.0,
+    "random to 4": 0.5,
+    "random to 12": 0.17,
+    "random to 40": 0.05,
+    "random to 120": 0.017,
+    "random to 1000": 0.002,
+    "random to 10^4": 2e-4,
+    "random to 10^5": 2e-5,
 }
-"""Kinds of scenes: the largest spread, and a function of size and seed."""
+"""Random pairs by their largest spread, and their smallest length; the largest is 2."""
+
+KINDS: dict[str, Callable[[int, int], scenes.Scene]] = {
+    "spheres": lambda n, seed: scenes.spheres(scenes.random(n, seed)),
+    **{k: functools.partial(scenes.random, low=low) for k, low in LOWEST.items()},
+    "near touching": margin_scenes.KINDS["near touching, 0.001"],
+    "needles": margin_scenes.needles,
+    "plates": margin_scenes.plates,
+}
+"""Kinds of scenes: functions of size and seed."""
 
 MOST = {
     settings.MARGIN_GRADIENT: Setting("margin", ("steps", MOST_MARGIN_STEPS), True),
@@ -177,8 +187,9 @@ def _wrong_verdicts(found: np.ndarray, exact: np.ndarray) -> dict[str, Any]:
 def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, Any]]:
     """One entry for each kind of scene, dtype, setting and answer."""
     entries = []
-    for kind, (spread, make) in KINDS.items():
+    for kind, make in KINDS.items():
         scene = make(pairs, seed)
+        spread = jaxbe.scene_facts(*scene.bodies()).typical_spread
         for dtype in settings.DTYPES:
             true = Truth(scene.astype(dtype))
             labels = {"scene": kind, "spread": spread, "dtype": dtype}

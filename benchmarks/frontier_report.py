@@ -14,7 +14,7 @@ FLOOR = {"verdict": 1e-6}
 LOWEST = 1e-17
 
 PANELS = {
-    settings.VERDICT: "share of wrong verdicts",
+    settings.VERDICT: "share of wrong verdicts (at the bottom: none)",
     settings.MARGIN: "error of the margin",
     settings.MARGIN_GRADIENT: "error of the margin's gradient",
     settings.DEPTH: "error of the depth, overlapping",

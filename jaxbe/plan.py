@@ -31,6 +31,9 @@ VERDICT_BAND = {"float32": 2.1, "float64": 112.0}
 FALSE_KEEPS = 0.01
 """The share of separated pairs that a filter may keep, if nothing else is said."""
 
+SAFETY = 1.5
+"""Another scene may be so much worse than the table's."""
+
 ENOUGH = 2.0
 """Without a tolerance: the cheapest within so much of the best there is."""
 
@@ -133,8 +136,9 @@ def plan(
 
     Returns:
         A `Plan`. The errors are those that were measured on random scenes of the
-        same spread (the next larger one of the table where it has no such, in between
-        interpolated); another scene's may differ somewhat.
+        same typical spread, needles and plates included, interpolated in between; half
+        as much again is allowed for, as another scene's may differ. Where bodies are aligned
+        or seldom near each other less would often do.
 
     Raises:
         TypeError: a scene that is not a SceneFacts.
@@ -190,7 +194,7 @@ def _choose(name: str, dtype: str, ask: _Ask, never_miss: bool) -> _Row | None:
     rows = _rows(name, dtype, ask, never_miss)
     limit = _limit(name, rows, ask, never_miss)
     # Beyond the table the error is infinite, and so is twice the least one.
-    good = [row for row in rows if row.error <= limit and row.error < math.inf]
+    good = [row for row in rows if SAFETY * row.error <= limit and row.error < math.inf]
     return min(good, key=lambda row: row.nanoseconds, default=None)
 
 
@@ -199,7 +203,7 @@ def _limit(name: str, rows: list[_Row], ask: _Ask, never_miss: bool) -> float:
         return ask.tolerance
     if _is_filter(name, never_miss):
         return FALSE_KEEPS
-    return ENOUGH * min(row.error for row in rows)
+    return SAFETY * ENOUGH * min(row.error for row in rows)
 
 
 def _is_filter(name: str, never_miss: bool) -> bool:
@@ -239,7 +243,7 @@ def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> 
 def _reason(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
     call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
     spheres = ", spheres" if ask.scene.spheres else ""
-    where = f"at spread {ask.scene.spread:.3g}{spheres}"
+    where = f"at typical spread {ask.scene.typical_spread:.3g}{spheres}"
     rate = f"{row.nanoseconds:.3g} ns a pair on {frontier()['machine']}"
     return f"{name}({call}): {_promise(name, row, ask, never_miss)} {where}; {rate}"
 
@@ -268,6 +272,7 @@ def _best_there_is(
     }
     best = ", ".join(f"{name} {error:.1e}" for name, error in errors.items())
     return (
-        f"no setting keeps tolerance {ask.tolerance} at spread {ask.scene.spread:.3g}; "
+        f"no setting is sure to keep tolerance {ask.tolerance} at typical spread "
+        f"{ask.scene.typical_spread:.3g}; "
         f"the best in {last}: {best} (inf: beyond the table)"
     )

@@ -24,7 +24,7 @@ class Measured(NamedTuple):
         dtype: of the inputs.
         gradients: whether with derivatives.
         nanoseconds: for a pair.
-        spreads: those that `errors` is for.
+        spreads: the typical ones that `errors` is for.
         errors: by kind of answer a row for each spread, a column for each share.
         errors_of_spheres: likewise, one row.
     """
@@ -39,18 +39,18 @@ class Measured(NamedTuple):
 
     def error(self, answer: str | None, column: int, scene: SceneFacts) -> float:
         """Interpolated between the spreads; infinite beyond them."""
-        if scene.spheres and scene.spread <= self.spreads[-1]:
-            return self.errors_of_spheres[str(answer)][0][column]
-        if scene.spread > self.spreads[-1]:
+        spread = float(scene.typical_spread or scene.spread)
+        if spread > self.spreads[-1]:
             return math.inf
+        if scene.spheres:
+            return self.errors_of_spheres[str(answer)][0][column]
         errors = [row[column] for row in self.errors[str(answer)]]
-        if not all(errors):
-            following = np.searchsorted(self.spreads, scene.spread)
-            return errors[int(following)]
-        logarithm = np.interp(
-            math.log(scene.spread), np.log(self.spreads), np.log(errors)
-        )
-        return float(np.exp(logarithm))
+        following = min(int(np.searchsorted(self.spreads, spread)), len(errors) - 1)
+        if not all(errors[max(following - 1, 0) : following + 1]):
+            return errors[following]
+        logarithms = np.log(np.maximum(errors, np.finfo(float).tiny))
+        found = np.interp(math.log(spread), np.log(self.spreads), logarithms)
+        return float(np.exp(found))
 
 
 @functools.cache

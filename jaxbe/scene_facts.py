@@ -22,15 +22,23 @@ class SceneFacts:
     Attributes:
         spread: the longest half extent or semi-axis of a pair over its smallest
             semi-axis, the largest of all pairs; at least 1.
+        typical_spread: the geometric mean of all pairs' spreads; the largest if None.
         spheres: whether all ellipsoids are spheres.
     """
 
     spread: float
+    typical_spread: float | None = None
     spheres: bool = False
 
     def __post_init__(self) -> None:
         if not self.spread >= 1:
             raise ValueError(f"spread must be at least 1, got {self.spread}")
+        typical = self.spread if self.typical_spread is None else self.typical_spread
+        if not 1 <= typical <= self.spread:
+            raise ValueError(
+                f"typical_spread must be from 1 to {self.spread}, got {typical}"
+            )
+        object.__setattr__(self, "typical_spread", typical)
 
 
 def scene_facts(box: Box, ellipsoid: Ellipsoid) -> SceneFacts:
@@ -46,8 +54,9 @@ def scene_facts(box: Box, ellipsoid: Ellipsoid) -> SceneFacts:
         ValueError: batch shapes that do not broadcast, no pair, or semi-axes that are
             not positive or not finite.
     """
-    if 0 in batch_shape(box, ellipsoid):
-        raise ValueError("there is no pair, so there are no facts")
+    batch = batch_shape(box, ellipsoid)
+    if 0 in batch:
+        raise ValueError(f"the batch shape {batch} has no pair, so there are no facts")
     return facts_of_lengths(box.half_extents, ellipsoid.semi_axes)
 
 
@@ -61,7 +70,11 @@ def facts_of_lengths(half_extents: Any, semi_axes: Any) -> SceneFacts:
         raise ValueError("lengths must be finite, and semi_axes positive")
     smallest, largest = a.min(axis=-1), a.max(axis=-1)
     longest = np.maximum(e.max(axis=-1), largest)
+    spread = longest / smallest
     return SceneFacts(
-        spread=float(np.max(longest / smallest)),
+        spread=float(np.max(spread)),
+        typical_spread=min(
+            float(np.exp(np.mean(np.log(spread)))), float(np.max(spread))
+        ),
         spheres=bool(np.all(largest <= smallest * (1 + SAME))),
     )

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import jaxbe
+import jaxbe.mjx
 from benchmarks import accuracy, scenes, settings
 from jaxbe.cli.arguments import DEFAULT_SCENE
+from jaxbe.plan import ENOUGH, SAFETY
 from jaxbe.plan_table import frontier, lines
 
 COMMON = jaxbe.SceneFacts(spread=40)
@@ -28,7 +30,7 @@ def test_fields_are_keyword_arguments():
 def test_printed_it_says_why():
     text = str(jaxbe.plan("margin", scene=COMMON, tolerance=1e-2))
     assert text.startswith("float32:\n  margin(steps=")
-    assert "in 99.9 % of pairs at spread 40" in text
+    assert "in 99.9 % of pairs at typical spread 40" in text
     assert "ns a pair" in text
 
 
@@ -52,7 +54,7 @@ def test_no_cheaper_setting_of_the_table_would_do():
     for tolerance in (1e-1, 1e-3, 1e-6):
         chosen = jaxbe.plan("signed_distance", scene=COMMON, tolerance=tolerance)
         rows = [r for r in lines("signed_distance") if not r.gradients]
-        good = [r for r in rows if r.error("distance", 1, COMMON) <= tolerance]
+        good = [r for r in rows if SAFETY * r.error("distance", 1, COMMON) <= tolerance]
         cheapest = min(good, key=lambda r: r.nanoseconds)
         assert chosen.signed_distance == cheapest.keywords
         assert chosen.dtype == cheapest.dtype
@@ -77,7 +79,7 @@ def test_without_a_tolerance_it_is_as_accurate_as_the_dtype():
         for r in lines("margin")
         if (r.keywords, r.dtype, r.gradients) == (found.margin, "float32", False)
     )
-    assert chosen.error("margin", 1, COMMON) <= 2 * best
+    assert chosen.error("margin", 1, COMMON) <= ENOUGH * best
 
 
 def test_never_missing_gives_the_slack():
@@ -85,7 +87,8 @@ def test_never_missing_gives_the_slack():
     assert found.overlap is None
     assert found.drop_above == jaxbe.rounding_slack("float32", 40)
     box, ellipsoid = scenes.random(5000, seed=9).astype(np.float32).bodies()
-    kept = ~(jaxbe.margin(box, ellipsoid, **found.margin) > found.drop_above)
+    margin = np.asarray(jaxbe.margin(box, ellipsoid, **found.margin))
+    kept = ~(margin > found.drop_above)
     overlaps = np.asarray(jaxbe.overlap(box, ellipsoid))
     assert not np.any(overlaps & ~kept)
     assert np.sum(kept & ~overlaps) <= 0.02 * np.sum(~overlaps)
@@ -128,6 +131,8 @@ def test_facts_of_a_batch():
     box, ellipsoid = scenes.random(100).bodies()
     facts = jaxbe.scene_facts(box, ellipsoid)
     assert facts.spread == pytest.approx(scenes.random(100).spread.max())
+    mean = np.exp(np.mean(np.log(scenes.random(100).spread)))
+    assert facts.typical_spread == pytest.approx(mean)
     assert not facts.spheres
     spheres = scenes.spheres(scenes.random(100)).bodies()
     assert jaxbe.scene_facts(*spheres).spheres
@@ -172,6 +177,9 @@ def test_facts_are_checked():
         jaxbe.SceneFacts(0.5)
     with pytest.raises(ValueError, match="spread must be at least 1, got nan"):
         jaxbe.SceneFacts(float("nan"))
+    with pytest.raises(ValueError, match="typical_spread must be from 1 to 4"):
+        jaxbe.SceneFacts(4, typical_spread=5)
+    assert jaxbe.SceneFacts(4).typical_spread == 4
     box, ellipsoid = scenes.random(2).bodies()
     flat = jaxbe.Ellipsoid.unchecked(
         ellipsoid.center, ellipsoid.axes, 0 * ellipsoid.semi_axes
@@ -183,7 +191,7 @@ def test_facts_are_checked():
             box, ellipsoid
         )
     nobody = scenes.random(1).part(slice(0)).bodies()
-    with pytest.raises(ValueError, match="no pair"):
+    with pytest.raises(ValueError, match="has no pair"):
         jaxbe.scene_facts(*nobody)
 
 
