@@ -137,8 +137,8 @@ def plan(
     Returns:
         A `Plan`. The errors are those that were measured on random scenes of the
         same typical spread, needles and plates included, interpolated in between; half
-        as much again is allowed for, as another scene's may differ. Where bodies are aligned
-        or seldom near each other less would often do.
+        as much again is allowed for, as another scene's may differ. Where bodies are
+        aligned or seldom near each other, less would often do.
 
     Raises:
         TypeError: a scene that is not a SceneFacts.
