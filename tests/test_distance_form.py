@@ -58,7 +58,7 @@ def test_gradient_is_branch_free():
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="keeps other arrays")
-@pytest.mark.parametrize("name", ["signed_distance", "contact", "distance_bounds"])
+@pytest.mark.parametrize("name", ["contact", "distance_bounds"])
 def test_few_arrays_beside_inputs_and_outputs(name):
     """In bytes a float32 pair; what loops share had taken 100 to 160."""
     bodies = scenes.random(1000).astype(np.float32).bodies()
