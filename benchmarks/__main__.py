@@ -33,11 +33,13 @@ class Part(NamedTuple):
         what: it measures.
         options: besides --json and --markdown; {NAME} is the stem of a part's results.
         has_quick: whether it knows --quick.
+        needs: parts whose results it reads.
     """
 
     what: str
     options: tuple[str, ...] = ()
     has_quick: bool = True
+    needs: tuple[str, ...] = ()
 
 
 SUITE = {
@@ -48,6 +50,7 @@ SUITE = {
     "limit": Part(
         "the machine's bandwidth and arithmetic rate, and the shares reached",
         ("--throughput", "{throughput}.json"),
+        needs=("throughput",),
     ),
     "accuracy": Part("errors and wrong verdicts of every setting by kind of scene"),
     "frontier": Part(
@@ -57,10 +60,12 @@ SUITE = {
             *("--figures", "{frontier}", "--table", "{table}"),
         ),
         has_quick=False,
+        needs=("throughput", "accuracy"),
     ),
     "plan": Part(
         "whether jaxbe.plan keeps its word on scenes it has not seen",
         ("--throughput", "{throughput}.json"),
+        needs=("throughput", "frontier"),
     ),
     "extremes": Part(
         "errors against the inputs' conditioning at all sizes, shapes and distances",
@@ -148,6 +153,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     label, failed = device(), []
     for number, name in enumerate(parts, start=1):
         print(f"[{number}/{len(parts)}] {name}: {PARTS[name].what}", file=sys.stderr)
+        if set(PARTS[name].needs) & set(failed):
+            failed.append(name)
+            print("    left out: a part that it needs has failed", file=sys.stderr)
+            continue
         start = time.perf_counter()
         words = command(name, options.folder, options.quick, label)
         if subprocess.run(words, stdout=subprocess.DEVNULL).returncode:

@@ -139,7 +139,10 @@ def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
     found = settings.under_vmap(setting)(*true.scene.bodies())
     exact = true.answers[answer]
     if answer == settings.VERDICT:
-        return _wrong_verdicts(_as_verdicts(setting, found), exact)
+        kept = _kept(setting, found, true.scene)
+        return _wrong_verdicts(_as_verdicts(setting, found), exact) | {
+            "false_keep_share": _share(kept & ~exact, ~exact)
+        }
     if setting.gradients:
         difference = _flat(found[1], true.scene) - exact
         error = _norm(difference) / np.maximum(_norm(exact), 1e-30)
@@ -180,8 +183,20 @@ def _wrong_verdicts(found: np.ndarray, exact: np.ndarray) -> dict[str, Any]:
         "false_overlap": false_overlap,
         "missed": missed,
         "wrong_share": (false_overlap + missed) / len(exact),
-        "false_overlap_share": false_overlap / max(1, int(np.sum(~exact))),
+        "false_overlap_share": _share(found & ~exact, ~exact),
     }
+
+
+def _kept(setting: Setting, found: Any, scene: scenes.Scene) -> np.ndarray:
+    """What a filter keeps that may lose no pair: the margin up to its slack."""
+    if setting.function != "margin":
+        return _as_verdicts(setting, found)
+    slack = jaxbe.rounding_slack(scene.a.dtype, float(scene.spread.max()))
+    return ~(np.asarray(found) > slack)
+
+
+def _share(some: np.ndarray, of: np.ndarray) -> float:
+    return float(np.sum(some)) / max(1.0, float(np.sum(of)))
 
 
 def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, Any]]:
@@ -189,7 +204,7 @@ def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, An
     entries = []
     for kind, make in KINDS.items():
         scene = make(pairs, seed)
-        spread = jaxbe.scene_facts(*scene.bodies()).typical_spread
+        spread = jaxbe.scene_facts(*scene.bodies()).upper_spread
         for dtype in settings.DTYPES:
             true = Truth(scene.astype(dtype))
             labels = {"scene": kind, "spread": spread, "dtype": dtype}

@@ -145,9 +145,9 @@ def _by_spread(entries: list[dict[str, Any]]) -> list[list[float]]:
 
 
 def _errors(entry: dict[str, Any]) -> list[float]:
-    """By SHARES; of verdicts the share of false overlaps."""
+    """By SHARES; of verdicts the share of separated pairs that a filter keeps."""
     if "missed" in entry:
-        return [entry["false_overlap_share"]]
+        return [entry["false_keep_share"]]
     return [entry["error"][share] for share in SHARES]
 
 

@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 import jaxbe
-from benchmarks import accuracy, machine, report, scenes, settings
+from benchmarks import accuracy, machine, margin_scenes, report, scenes, settings
 from benchmarks.settings import Setting
 from jaxbe.cli import states
 from jaxbe.cli.arguments import DEFAULT_SCENE
@@ -75,12 +75,20 @@ def _two_sizes(n: int, seed: int) -> scenes.Scene:
     return pairs._replace(e=3 * pairs.e, K=pairs.C + offset)
 
 
+def _mixed(n: int, seed: int) -> scenes.Scene:
+    """Nine easy pairs to one of needles."""
+    hard = margin_scenes.needles(n // 10, seed)
+    easy = scenes.random(n - n // 10, seed, low=1.0)
+    return scenes.Scene(*(np.concatenate(x) for x in zip(easy, hard, strict=True)))
+
+
 HELD_OUT: dict[str, Callable[[int, int], scenes.Scene]] = {
     "the shipped scene": shipped,
     "spread to 7": functools.partial(scenes.random, low=0.1, high=0.7),
     "spread to 80": functools.partial(scenes.random, low=0.01, high=0.8),
     "spread to 400": functools.partial(scenes.random, low=0.01, high=4.0),
     "spread to 3 10^4": functools.partial(scenes.random, low=1e-3, high=30.0),
+    "a tenth of needles": _mixed,
     "aligned": lambda n, seed: scenes.axis_aligned(scenes.random(n, seed)),
     "boxes larger": _two_sizes,
     "plates": lambda n, seed: scenes.flattened(scenes.random(n, seed), 1),
@@ -101,13 +109,13 @@ def measure(
         for question in QUESTIONS:
             found = _errors(question, true, nanoseconds)
             entries += [
-                {"scene": name, "spread": facts.typical_spread, "question": question}
+                {"scene": name, "spread": facts.upper_spread, "question": question}
                 | _compare(question, facts, tolerance, found)
                 for tolerance in TOLERANCES
             ]
         found = _false_keeps(true, nanoseconds)
         entries += [
-            {"scene": name, "spread": facts.typical_spread, "question": "never miss"}
+            {"scene": name, "spread": facts.upper_spread, "question": "never miss"}
             | _compare("never miss", facts, tolerance, found)
             for tolerance in FALSE_KEEPS
         ]
@@ -147,7 +155,7 @@ def _false_keeps(
     return {
         (s.name, d): (
             nanoseconds[s.name, d],
-            accuracy.judge(s, settings.VERDICT, true[d])["false_overlap_share"],
+            accuracy.judge(s, settings.VERDICT, true[d])["false_keep_share"],
         )
         for s in mine
         for d in settings.DTYPES
@@ -199,9 +207,11 @@ def text(numbers: dict[str, Any]) -> str:
     parts = [
         "# Does the plan keep its word?",
         f"{numbers['pairs']:,} pairs of each scene, none of them in the plan's table. "
-        f"Of {len(entries)} plans {kept} keep the tolerance there in "
-        f"{100 * SHARE:g} % of the pairs; {within} of {len(cheap)} cost at most "
-        f"{TIMES_FASTEST} times the fastest setting that keeps it there. "
+        f"Of {len(entries)} plans {kept} keep the tolerance there (in "
+        f"{100 * SHARE:g} % of the pairs; where none may be missed, as the share of "
+        f"separated pairs that margin and slack keep); {within} of {len(cheap)} cost "
+        f"at most {TIMES_FASTEST} times the fastest setting that keeps it there, both "
+        "as timed by the same run of `benchmarks.throughput`. "
         f"{len(refused)} tolerances were refused, {wrongly} of which some setting "
         "would have kept.",
         "## Plans that do not keep the tolerance, or cost more",
@@ -214,7 +224,7 @@ def text(numbers: dict[str, Any]) -> str:
 
 
 HEADER = (
-    *("scene", "typical spread", "question", "tolerance", "plan", "dtype"),
+    *("scene", "upper spread", "question", "tolerance", "plan", "dtype"),
     *("error there", "x fastest"),
 )
 

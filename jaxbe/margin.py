@@ -55,7 +55,7 @@ def margin(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Sca
         computed from S alone. At coincident centres, the tip of a cone, they are zero,
         which is a subgradient. In float32 they can be those of a neighbouring contact
         at aspect ratios of 1e6 and more, and those in the semi-axes of thin plates lose
-        digits from 1000 on (`benchmarks/results/extremes-cpu.md`). Second derivatives
+        digits from 100 on (`benchmarks/results/extremes-cpu.md`). Second derivatives
         are right wherever they exist, and one-sided where the contact changes between
         face, edge and vertex.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -63,12 +64,14 @@ class _Row(NamedTuple):
         dtype: of the inputs.
         nanoseconds: for a pair, on the machine of the table.
         error: for the scene and the share of pairs asked for.
+        depth: of distances, that of the depths of overlapping pairs.
     """
 
-    keywords: dict[str, Any]
+    keywords: Keywords
     dtype: str
     nanoseconds: float
     error: float
+    depth: float = math.nan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,30 +126,32 @@ def plan(
             the tolerance is for these, relative to the size of the gradient.
         dtype: "float32" or "float64"; by default float32 unless the tolerance needs
             the other.
-        tolerance: largest error. Of "margin" relative to max(1, growth distance); of
-            "signed_distance" and "contact", for pairs that are apart, relative to the
-            longest length of the pair or the distance; of "overlap" the |sqrt(q) - 1|
-            of `scaled_distance` nearer than which a verdict may be wrong. Where pairs
-            may not be missed: the share of separated pairs that may be kept (0.01 if
-            None). None otherwise: within twice of the best there is.
+        tolerance: largest error, for all outputs; best one output a plan. Of "margin"
+            relative to max(1, growth distance); of "signed_distance" and "contact", for
+            pairs that are apart, relative to the longest length of the pair or the
+            distance; of "overlap" the |sqrt(q) - 1| of `scaled_distance` nearer than
+            which a verdict may be wrong. Of a filter ("filter_contacts", or where pairs
+            may not be missed) the share of separated pairs that may be kept, 0.01 if
+            None. None otherwise: within twice of the best there is.
         share: of the pairs for which the tolerance is meant: 0.99, 0.999 or 1, as
             far as the table's 100,000 pairs a scene can tell.
         never_miss: whether no overlapping pair may be called separated, rounding
-            included. "overlap" is answered by margin and `drop_above` then.
+            included. "overlap" and "margin" are a filter then, by the margin and
+            `drop_above`; ask for the values of margins in a plan of their own.
 
     Returns:
-        A `Plan`. The errors are those that were measured on random scenes of the
-        same typical spread, needles and plates included, interpolated in between; half
-        as much again is allowed for, as another scene's may differ. Where bodies are
-        aligned or seldom near each other, less would often do.
+        A `Plan`. The errors are those that were measured on random scenes of the same
+        upper spread (see `SceneFacts`), needles and plates included, interpolated in
+        between; half as much again is allowed for, as another scene's may differ. Where
+        bodies are aligned or seldom near each other, less would often do.
 
     Raises:
         TypeError: a scene that is not a SceneFacts.
         ValueError: no or unknown outputs, or another dtype or share; a tolerance that
-            no setting reaches, or a spread beyond the table's: the message says what
-            is the best.
+            no setting reaches, or a spread beyond the table's (of "overlap" there is
+            none): the message says what is the least.
     """
-    _check(outputs, scene, dtype, share, tolerance)
+    _check(outputs, scene, dtype, share, tolerance, gradients, never_miss)
     ask = _Ask(scene, gradients, tolerance, SHARES[share], share)
     names = tuple(dict.fromkeys(_answered_by(name, never_miss) for name in outputs))
     for kind in (dtype,) if dtype else ("float32", "float64"):
@@ -169,7 +174,13 @@ class _Ask(NamedTuple):
 
 
 def _check(
-    outputs: tuple[str, ...], scene: Any, dtype: Any, share: Any, tolerance: Any
+    outputs: tuple[str, ...],
+    scene: Any,
+    dtype: Any,
+    share: Any,
+    tolerance: Any,
+    gradients: bool,
+    never_miss: bool,
 ) -> None:
     if not isinstance(scene, SceneFacts):
         raise TypeError(f"scene must be a SceneFacts, got {type(scene).__name__}")
@@ -181,6 +192,8 @@ def _check(
         raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
     if share not in SHARES:
         raise ValueError(f"share must be one of {', '.join(map(str, SHARES))}")
+    if gradients and never_miss and {"margin", "overlap"} & set(outputs):
+        raise ValueError("a margin that may miss no pair is a filter: no gradients")
     if tolerance is not None and not tolerance > 0:
         raise ValueError(f"tolerance must be positive, got {tolerance}")
 
@@ -216,18 +229,44 @@ def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
         eps = float(np.finfo(dtype).eps)
         band = VERDICT_BAND[dtype] * eps * ask.scene.spread
         table = [row for row in lines(name) if row.dtype == dtype]
-        return [_Row(row.keywords, dtype, row.nanoseconds, band) for row in table]
+        return [
+            _Row(MappingProxyType(row.keywords), dtype, row.nanoseconds, band)
+            for row in table
+        ]
     question = _QUESTIONS[name]
     gradients = ask.gradients and question.gradient is not None
     answer = question.gradient if gradients else question.answer
     column = ask.column
     if _is_filter(name, never_miss):
         gradients, answer, column = False, "verdict", 0
-    return [
-        _Row(row.keywords, dtype, row.nanoseconds, row.error(answer, column, ask.scene))
+    table = [
+        row
         for row in lines(question.function)
         if row.dtype == dtype and row.gradients == gradients
     ]
+    return [
+        _Row(
+            MappingProxyType(row.keywords),
+            dtype,
+            row.nanoseconds,
+            row.error(answer, column, ask.scene),
+            _depth_error(row.keywords, question, dtype, ask),
+        )
+        for row in table
+    ]
+
+
+def _depth_error(
+    keywords: Keywords, question: _Question, dtype: str, ask: _Ask
+) -> float:
+    """Of the depths with these keywords; NaN for what is no distance."""
+    if question.function != "signed_distance":
+        return math.nan
+    return next(
+        row.error("depth", ask.column, ask.scene)
+        for row in lines(question.function)
+        if (row.keywords, row.dtype, row.gradients) == (keywords, dtype, False)
+    )
 
 
 def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> Plan:
@@ -243,7 +282,8 @@ def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> 
 def _reason(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
     call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
     spheres = ", spheres" if ask.scene.spheres else ""
-    where = f"at typical spread {ask.scene.typical_spread:.3g}{spheres}"
+    spread = ask.scene.spread if name == "overlap" else ask.scene.upper_spread
+    where = f"at spread {spread:.3g}{spheres}"
     rate = f"{row.nanoseconds:.3g} ns a pair on {frontier()['machine']}"
     return f"{name}({call}): {_promise(name, row, ask, never_miss)} {where}; {rate}"
 
@@ -254,7 +294,12 @@ def _promise(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
     if name == "overlap":
         return f"right wherever |sqrt(q) - 1| > {row.error:.1e}"
     what = "gradients" if ask.gradients else "values"
-    return f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs"
+    if name == "margin":
+        return f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs"
+    return (
+        f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs apart (depths of "
+        f"overlapping ones to {row.depth:.1e})"
+    )
 
 
 def _best_there_is(
@@ -266,13 +311,13 @@ def _best_there_is(
 ) -> str:
     last = dtype or "float64"
     errors = {
-        name: min(row.error for row in _rows(name, last, ask, never_miss))
+        name: SAFETY * min(row.error for row in _rows(name, last, ask, never_miss))
         for name in names
         if found[name] is None
     }
     best = ", ".join(f"{name} {error:.1e}" for name, error in errors.items())
     return (
-        f"no setting is sure to keep tolerance {ask.tolerance} at typical spread "
-        f"{ask.scene.typical_spread:.3g}; "
-        f"the best in {last}: {best} (inf: beyond the table)"
+        f"no setting is sure to keep tolerance {ask.tolerance} at upper spread "
+        f"{ask.scene.upper_spread:.3g}; the least that is, in {last}: {best} (inf: "
+        "beyond the table)"
     )

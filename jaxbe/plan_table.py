@@ -24,7 +24,7 @@ class Measured(NamedTuple):
         dtype: of the inputs.
         gradients: whether with derivatives.
         nanoseconds: for a pair.
-        spreads: the typical ones that `errors` is for.
+        spreads: the upper ones (see `SceneFacts`) that `errors` is for.
         errors: by kind of answer a row for each spread, a column for each share.
         errors_of_spheres: likewise, one row.
     """
@@ -39,7 +39,7 @@ class Measured(NamedTuple):
 
     def error(self, answer: str | None, column: int, scene: SceneFacts) -> float:
         """Interpolated between the spreads; infinite beyond them."""
-        spread = float(scene.typical_spread or scene.spread)
+        spread = float(scene.upper_spread or scene.spread)
         if spread > self.spreads[-1]:
             return math.inf
         if scene.spheres:

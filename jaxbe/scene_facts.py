@@ -22,23 +22,24 @@ class SceneFacts:
     Attributes:
         spread: the longest half extent or semi-axis of a pair over its smallest
             semi-axis, the largest of all pairs; at least 1.
-        typical_spread: the geometric mean of all pairs' spreads; the largest if None.
+        upper_spread: the geometric mean of the largest tenth of the pairs' spreads,
+            what errors go by; the largest spread if None.
         spheres: whether all ellipsoids are spheres.
     """
 
     spread: float
-    typical_spread: float | None = None
+    upper_spread: float | None = None
     spheres: bool = False
 
     def __post_init__(self) -> None:
         if not self.spread >= 1:
             raise ValueError(f"spread must be at least 1, got {self.spread}")
-        typical = self.spread if self.typical_spread is None else self.typical_spread
+        typical = self.spread if self.upper_spread is None else self.upper_spread
         if not 1 <= typical <= self.spread:
             raise ValueError(
-                f"typical_spread must be from 1 to {self.spread}, got {typical}"
+                f"upper_spread must be from 1 to {self.spread}, got {typical}"
             )
-        object.__setattr__(self, "typical_spread", typical)
+        object.__setattr__(self, "upper_spread", typical)
 
 
 def scene_facts(box: Box, ellipsoid: Ellipsoid) -> SceneFacts:
@@ -70,11 +71,10 @@ def facts_of_lengths(half_extents: Any, semi_axes: Any) -> SceneFacts:
         raise ValueError("lengths must be finite, and semi_axes positive")
     smallest, largest = a.min(axis=-1), a.max(axis=-1)
     longest = np.maximum(e.max(axis=-1), largest)
-    spread = longest / smallest
+    spread = np.sort((longest / smallest).ravel())
+    upper = spread[-max(1, spread.size // 10) :]
     return SceneFacts(
-        spread=float(np.max(spread)),
-        typical_spread=min(
-            float(np.exp(np.mean(np.log(spread)))), float(np.max(spread))
-        ),
+        spread=float(spread[-1]),
+        upper_spread=min(float(np.exp(np.mean(np.log(upper)))), float(spread[-1])),
         spheres=bool(np.all(largest <= smallest * (1 + SAME))),
     )

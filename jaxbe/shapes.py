@@ -82,7 +82,8 @@ class _Body:
 
         Args:
             *fields: as in the constructor, in its order: arrays of NumPy, memory-mapped
-                ones too. An array of JAX is fetched from its device.
+                ones too; float32 or float64, not bfloat16, which would have to be
+                converted. An array of JAX is fetched from its device.
 
         Raises:
             TypeError: wrong or mixed dtypes.

@@ -1,14 +1,23 @@
 """The suite's own parts in short: settings, accuracy, limit, frontier, one command."""
 
+import importlib
 import json
 import subprocess
-import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks import __main__ as suite
-from benchmarks import accuracy, frontier, frontier_report, limit, scenes, settings
+from benchmarks import (
+    accuracy,
+    frontier,
+    frontier_report,
+    limit,
+    report,
+    scenes,
+    settings,
+)
 from tests.test_benchmarks_margin import check_picture
 
 FEW = tuple(
@@ -156,6 +165,7 @@ def test_frontiers_are_drawn(tmp_path):
 
 def test_limit_gives_rates_and_shares(tmp_path, monkeypatch):
     monkeypatch.setattr(limit, "BYTES", 8000)
+    monkeypatch.setattr(limit.throughput, "COPY_BYTES", 8000)
     monkeypatch.setattr(limit, "NUMBERS", 100)
     throughput = fake_throughput(tmp_path)
     file, text = measured(
@@ -181,16 +191,39 @@ def test_chains_are_not_folded_away():
         assert done >= 0.9 * count * limit.CHAIN * 10, name
 
 
-def test_every_part_is_a_module_with_its_options():
-    for name, part in suite.PARTS.items():
-        words = suite.command(name, suite.RESULTS, False, "cpu")
-        module = words[2]
-        done = subprocess.run(
-            [sys.executable, "-c", f"import importlib.util as u; "
-             f"assert u.find_spec('{module}')"], check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, module
-        assert not any("{" in word for word in words), part
+@pytest.mark.parametrize("name", suite.PARTS)
+def test_every_part_is_a_module_that_knows_its_options(name, tmp_path):
+    words = suite.command(name, tmp_path, suite.PARTS[name].has_quick, "cpu")
+    module = importlib.import_module(words[2])
+    if hasattr(module, "parse"):
+        module.parse(words[3:])
+    source = Path(module.__file__).read_text() + Path(report.__file__).read_text()
+    for word in (w for w in words if w.startswith("--")):
+        assert f'"{word}"' in source or "--{name}" in source
+    assert {"--json", "--markdown"} < set(words)
+
+
+def test_parts_that_need_a_failed_one_are_left_out(tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def run(words, **_):
+        ran.append(words[2])
+        return subprocess.CompletedProcess(words, returncode=1)
+
+    monkeypatch.setattr(suite.subprocess, "run", run)
+    monkeypatch.setattr(suite, "device", lambda: "cpu")
+    parts = ["throughput", "frontier", "plan", "accuracy"]
+    assert suite.main([*parts, f"--folder={tmp_path}"]) == 4
+    assert ran == ["benchmarks.throughput", "benchmarks.accuracy"]
+    assert "left out: a part that it needs has failed" in capsys.readouterr().err
+
+
+def test_the_plan_s_table_is_of_the_results_in_the_repository():
+    folder = suite.RESULTS
+    accuracy_numbers = json.loads((folder / "accuracy-cpu.json").read_text())
+    throughput_numbers = json.loads((folder / "throughput-cpu.json").read_text())
+    expected = frontier.table(throughput_numbers, accuracy_numbers)
+    assert json.loads(suite.PLAN_TABLE.read_text()) == expected
 
 
 def test_the_plan_s_table_is_written_by_full_runs_on_a_cpu_only(tmp_path):

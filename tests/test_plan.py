@@ -30,7 +30,7 @@ def test_fields_are_keyword_arguments():
 def test_printed_it_says_why():
     text = str(jaxbe.plan("margin", scene=COMMON, tolerance=1e-2))
     assert text.startswith("float32:\n  margin(steps=")
-    assert "in 99.9 % of pairs at typical spread 40" in text
+    assert "in 99.9 % of pairs at spread 40" in text
     assert "ns a pair" in text
 
 
@@ -131,8 +131,8 @@ def test_facts_of_a_batch():
     box, ellipsoid = scenes.random(100).bodies()
     facts = jaxbe.scene_facts(box, ellipsoid)
     assert facts.spread == pytest.approx(scenes.random(100).spread.max())
-    mean = np.exp(np.mean(np.log(scenes.random(100).spread)))
-    assert facts.typical_spread == pytest.approx(mean)
+    mean = np.exp(np.mean(np.log(np.sort(scenes.random(100).spread)[-10:])))
+    assert facts.upper_spread == pytest.approx(mean)
     assert not facts.spheres
     spheres = scenes.spheres(scenes.random(100)).bodies()
     assert jaxbe.scene_facts(*spheres).spheres
@@ -152,12 +152,23 @@ def test_spheres_take_fewer_steps():
         (("margin",), {"dtype": "bfloat16"}, ValueError, "dtype must be"),
         (("margin",), {"share": 0.5}, ValueError, "share must be one of 0.99"),
         (("margin",), {"tolerance": 0.0}, ValueError, "tolerance must be positive"),
-        (("margin",), {"tolerance": 1e-30}, ValueError, r"the best in float64: margin"),
+        (
+            ("margin",),
+            {"tolerance": 1e-30},
+            ValueError,
+            r"the least that is, in float64: margin",
+        ),
         (
             ("margin",),
             {"tolerance": 1e-9, "dtype": "float32"},
             ValueError,
-            "the best in float32: margin",
+            "the least that is, in float32: margin",
+        ),
+        (
+            ("margin",),
+            {"gradients": True, "never_miss": True},
+            ValueError,
+            "no gradients",
         ),
         (
             ("margin",),
@@ -177,9 +188,9 @@ def test_facts_are_checked():
         jaxbe.SceneFacts(0.5)
     with pytest.raises(ValueError, match="spread must be at least 1, got nan"):
         jaxbe.SceneFacts(float("nan"))
-    with pytest.raises(ValueError, match="typical_spread must be from 1 to 4"):
-        jaxbe.SceneFacts(4, typical_spread=5)
-    assert jaxbe.SceneFacts(4).typical_spread == 4
+    with pytest.raises(ValueError, match="upper_spread must be from 1 to 4"):
+        jaxbe.SceneFacts(4, upper_spread=5)
+    assert jaxbe.SceneFacts(4).upper_spread == 4
     box, ellipsoid = scenes.random(2).bodies()
     flat = jaxbe.Ellipsoid.unchecked(
         ellipsoid.center, ellipsoid.axes, 0 * ellipsoid.semi_axes
@@ -205,6 +216,26 @@ def test_the_table_has_every_setting_and_says_its_origin():
         for dtype in settings.DTYPES:
             method = s.options.get("method")
             assert (s.function, s.steps, method, s.gradients, dtype) in names
+
+
+def test_a_plan_cannot_be_changed():
+    found = jaxbe.plan("margin", scene=COMMON)
+    with pytest.raises(TypeError):
+        found.margin["steps"] = 0
+
+
+def test_a_wide_scene_in_float32_keeps_more_than_it_may():
+    """The slack grows with the spread: at 10^5 it is as large as a body."""
+    wide = jaxbe.SceneFacts(spread=1e5, upper_spread=1e4)
+    found = jaxbe.plan("overlap", scene=wide, never_miss=True, tolerance=0.1)
+    assert found.dtype == "float64"
+    with pytest.raises(ValueError, match="no setting is sure to keep"):
+        jaxbe.plan("overlap", scene=wide, never_miss=True, dtype="float32")
+
+
+def test_distances_say_that_depths_are_another_matter():
+    text = str(jaxbe.plan("contact", scene=COMMON, tolerance=1e-4))
+    assert "of pairs apart (depths of overlapping ones to" in text
 
 
 @pytest.mark.bulk
