@@ -1,24 +1,21 @@
-"""Plots a state with matplotlib: its boxes and ellipsoids, in true proportions."""
+"""Boxes, ellipsoids and contacts in matplotlib's 3-D axes, in true proportions."""
 
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from jaxbe.cli.picture import (
+from jaxbe.viz.view import (
     NORMAL_COLOR,
     ON_BOX_COLOR,
     ON_ELLIPSOID_COLOR,
-    View,
+    Color,
+    Mark,
 )
-from jaxbe.mjx.pairs import BOX, ELLIPSOID
 
 ELLIPSOID_COLOR = (1.0, 0.25, 0.10, 0.6)
 BOX_COLOR = (0.10, 0.45, 1.0, 0.5)
@@ -30,72 +27,48 @@ NORMAL_BEYOND = 0.1
 Points = NDArray[np.float64]
 
 
-def plot(model: Any, view: View, path: Path) -> None:
-    """Writes a PNG: the whole scene, and the pair in focus beside it.
+def add_faces(axes: Any, parts: list[tuple[Points, Color]]) -> None:
+    """Adds faces (n, 4, 3) with their colours, and sets the limits around them.
 
-    Args:
-        model: a `mujoco.MjModel`.
-        view: what to draw.
-        path: the file to write.
+    All as one collection: matplotlib sorts by depth only within one.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = view.qpos
-    mujoco.mj_kinematics(model, data)
-    everything = np.flatnonzero(np.isin(model.geom_type, (BOX, ELLIPSOID)))
-    figure = Figure(figsize=(14.4, 7.2), dpi=100, layout="constrained")
-    for i, (title, geoms) in enumerate(
-        [("all boxes and ellipsoids", everything.tolist()), ("the pair", view.focus)]
-    ):
-        axes = figure.add_subplot(1, 2, i + 1, projection="3d")
-        axes.set_title(title)
-        _add_geoms(axes, model, data, geoms, view.highlighted())
-    if view.has_contact():
-        _add_contact(axes, view)
-    figure.savefig(path, format="png")
-
-
-def _add_geoms(
-    axes: Any, model: Any, data: Any, geoms: list[int], highlighted: set[int]
-) -> None:
-    """Adds all faces as one collection: matplotlib sorts by depth only within one."""
-    faces, colors = [], []
-    for geom in geoms:
-        is_highlighted = geom in highlighted
-        if model.geom_type[geom] == BOX:
-            own = box_faces(model.geom_size[geom], cells=16 if is_highlighted else 1)
-            color = BOX_COLOR
-        else:
-            own = ellipsoid_faces(model.geom_size[geom])
-            color = ELLIPSOID_COLOR
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        faces.append(own @ rotation.T + data.geom_xpos[geom])
-        colors += [color if is_highlighted else REST_COLOR] * len(own)
-        if model.geom_type[geom] == BOX:
-            outline = box_faces(model.geom_size[geom], cells=1)
-            _add_outline(axes, outline @ rotation.T + data.geom_xpos[geom])
-    together = np.concatenate(faces)
+    together = np.concatenate([faces for faces, _ in parts])
+    colors = [color for faces, color in parts for _ in faces]
     axes.add_collection3d(
         Poly3DCollection(together, facecolors=colors, linewidths=0, shade=True)
     )
-    _set_limits(axes, together.reshape(-1, 3))
+    set_limits(axes, together.reshape(-1, 3))
 
 
-def _add_contact(axes: Any, view: View) -> None:
+def add_outline(axes: Any, faces: Points, **style: Any) -> None:
+    """The edges of faces (n, 4, 3)."""
+    style = {"color": "black", "linewidth": 0.3} | style
+    for face in faces:
+        axes.plot(*face[[0, 1, 2, 3, 0]].T, **style)
+
+
+def add_mark(axes: Any, mark: Mark) -> None:
     """Draws witness points and normal over everything, and says what they are."""
     axes.computed_zorder = False
     for name, point, color in (
-        ("on the ellipsoid", view.on_ellipsoid, ON_ELLIPSOID_COLOR),
-        ("on the box", view.on_box, ON_BOX_COLOR),
+        ("on the ellipsoid", mark.on_ellipsoid, ON_ELLIPSOID_COLOR),
+        ("on the box", mark.on_box, ON_BOX_COLOR),
     ):
         style = {"color": color, "mec": "white", "ms": 8, "ls": "none"}
         axes.plot(*np.array([point]).T, marker="o", label=name, zorder=12, **style)
     limits = axes.get_xlim(), axes.get_ylim(), axes.get_zlim()
-    start, end = view.arrow(NORMAL_BEYOND * float(np.ptp(limits, axis=1).max()))
+    start, end = mark.arrow(NORMAL_BEYOND * float(np.ptp(limits, axis=1).max()))
     arrow = *start, *(end - start)
     rim, fill = {"color": "black", "lw": 5}, {"color": NORMAL_COLOR, "lw": 3}
     axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, **rim)
     axes.quiver(*arrow, arrow_length_ratio=0.1, zorder=11, label="normal", **fill)
-    axes.legend(title=view.caption(), loc="upper left")
+    axes.legend(title=mark.caption(), loc="upper left")
+
+
+def placed(faces: Points, axes: Any, center: Any) -> Points:
+    """Faces turned by axes (3, 3) and moved to a centre (3,)."""
+    turned = faces @ np.asarray(axes, float).T
+    return np.asarray(turned + np.asarray(center, float))
 
 
 def box_faces(half_extents: Points, cells: int) -> Points:
@@ -105,7 +78,7 @@ def box_faces(half_extents: Points, cells: int) -> Points:
     """
     ticks = np.linspace(-1, 1, cells + 1)
     grid = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
-    square = _quadrilaterals(grid)
+    square = quadrilaterals(grid)
     faces = [
         np.insert(square, axis, side, axis=-1)
         for axis, side in itertools.product(range(3), (-1, 1))
@@ -122,21 +95,16 @@ def ellipsoid_faces(semi_axes: Points, rings: int = 16) -> Points:
     )
     r = np.sin(polar)
     grid = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.cos(polar)], axis=-1)
-    return _quadrilaterals(grid) * semi_axes
+    return quadrilaterals(grid) * semi_axes
 
 
-def _quadrilaterals(grid: Points) -> Points:
+def quadrilaterals(grid: Points) -> Points:
     """The cells of a grid of points (m, n, d), as corners (cells, 4, d)."""
     corners = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
     return np.stack(corners, axis=2).reshape(-1, 4, grid.shape[-1])
 
 
-def _add_outline(axes: Any, faces: Points) -> None:
-    for face in faces:
-        axes.plot(*face[[0, 1, 2, 3, 0]].T, color="black", linewidth=0.3)
-
-
-def _set_limits(axes: Any, points: Points) -> None:
+def set_limits(axes: Any, points: Points) -> None:
     """One scale on all axes."""
     low, high = points.min(axis=0), points.max(axis=0)
     for set_limit, start, stop in zip(
