@@ -132,7 +132,7 @@ def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
     camera.lookat[:] = point
     size = min(model.geom_rbound[ellipsoid], model.geom_rbound[box])
     marks = view.known_marks()
-    away = max(6 * size, *(3 * abs(mark.distance) for mark in marks), 0)
+    away = max(6 * float(size), *(3 * abs(mark.distance) for mark in marks), 0.0)
 
     def aim(direction: Direction) -> None:
         camera.azimuth, camera.elevation = direction

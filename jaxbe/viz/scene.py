@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 from matplotlib.image import imread
@@ -66,14 +65,9 @@ def _marks(contacts: Contact | None) -> list[Mark]:
     """One for each contact of a batch."""
     if contacts is None:
         return []
-    one = {"distance": 0, "position": 1, "normal": 1, "on_box": 1, "on_ellipsoid": 1}
-    flat = Contact(
-        **{
-            name: np.asarray(x).reshape(-1, *np.shape(x)[np.ndim(x) - one[name] :])
-            for name, x in contacts._asdict().items()
-        }
+    rows = zip(
+        np.ravel(contacts.distance),
+        *(np.reshape(x, (-1, 3)) for x in contacts[1:]),
+        strict=True,
     )
-    return [
-        Mark.of(jax.tree.map(lambda x, i=i: x[i], flat))
-        for i in range(len(flat.distance))
-    ]
+    return [Mark.of(Contact(*row)) for row in rows]

@@ -79,8 +79,8 @@ class View(NamedTuple):
     @classmethod
     def from_json(cls, fields: Sequence[Any]) -> Self:
         """What JSON has made lists of."""
-        *rest, marks = fields
-        return cls(*rest, [Mark(*mark) for mark in marks])
+        scene, qpos, pairs, focus, marks = fields
+        return cls(scene, qpos, pairs, focus, [Mark(*mark) for mark in marks])
 
     def highlighted(self) -> set[int]:
         """The geoms of the pairs and of the one in focus."""
