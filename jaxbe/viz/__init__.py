@@ -1,4 +1,4 @@
-"""Pictures: of one pair, of a slice through the margin, of a MuJoCo scene.
+"""Pictures of a pair, of many bodies, of the margin in a plane, of a MuJoCo scene.
 
 Needs the extra `viz` (matplotlib), for `render` also `mjx`; nothing else in jaxbe
 imports it but the command line. Each part is loaded when it is first asked for.
@@ -10,13 +10,15 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jaxbe.viz.bodies import draw_bodies
     from jaxbe.viz.pair import draw_pair
     from jaxbe.viz.scene import render
     from jaxbe.viz.slices import draw_slice
 
-__all__ = ["draw_pair", "draw_slice", "render"]
+__all__ = ["draw_bodies", "draw_pair", "draw_slice", "render"]
 
 _HOMES = {
+    "draw_bodies": "jaxbe.viz.bodies",
     "draw_pair": "jaxbe.viz.pair",
     "draw_slice": "jaxbe.viz.slices",
     "render": "jaxbe.viz.scene",

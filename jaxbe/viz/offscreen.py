@@ -132,7 +132,7 @@ def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
     camera.lookat[:] = point
     size = min(model.geom_rbound[ellipsoid], model.geom_rbound[box])
     marks = view.known_marks()
-    away = max(6 * float(size), *(3 * abs(mark.distance) for mark in marks), 0.0)
+    away = max([6 * float(size), *(3 * abs(mark.distance) for mark in marks)])
 
     def aim(direction: Direction) -> None:
         camera.azimuth, camera.elevation = direction
@@ -145,8 +145,9 @@ def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
         ids = _segments(renderer)
         areas = (np.sum(ids == ellipsoid) + 1) * (np.sum(ids == box) + 1)
         forward = _forward(direction)
-        sideways = [np.linalg.norm(np.cross(forward, mark.normal)) for mark in marks]
-        return float(areas * np.mean(sideways or [1]))
+        crosses = [np.cross(forward, mark.normal) for mark in marks]
+        sideways = [float(np.linalg.norm(x)) for x in crosses] or [1.0]
+        return float(areas * np.mean(sideways))
 
     aim(max(DIRECTIONS, key=visible))
     return camera
