@@ -28,15 +28,15 @@ SHELF = boxes(
     (0.0, -0.51, 0.4, 0.20, 0.012, 0.42),
     (0.0, 0.51, 0.4, 0.20, 0.012, 0.42),
     (0.21, 0.0, 0.4, 0.012, 0.52, 0.42),
-    (0.02, -0.33, 0.50, 0.10, 0.12, 0.08, 12),
-    (0.0, 0.37, 0.54, 0.11, 0.09, 0.12, -8),
+    (0.0, -0.31, 0.54, 0.14, 0.16, 0.12, 6),
+    (0.0, 0.35, 0.56, 0.14, 0.11, 0.14, -8),
     (-0.01, -0.30, 0.14, 0.13, 0.15, 0.12, 5),
     (0.02, 0.36, 0.10, 0.10, 0.12, 0.08, 20),
 )
 """Three boards, two sides, a back and four parcels: centre, half extents, turn."""
 
 SEMI_AXES = (0.22, 0.11, 0.10)
-START = Pose(np.float32([0.05, 0.12, 0.41]), np.float32([0.9, 0.1, 0.35, 0.2]))
+START = Pose(np.float32([0.0, 0.08, 0.42]), np.float32([0.8, 0.1, 0.1, 0.55]))
 WANTED = 0.1
 """The margin that every pair shall have."""
 
@@ -107,8 +107,8 @@ def draw(file: Path, way: list[Pose], seen: np.ndarray, frames: int) -> None:
 def main(arguments: Sequence[str] | None = None) -> bool:
     """Pushes, proves and draws; returns whether the melon is proved to be free."""
     options = parser(__doc__, "1_push_out.gif").parse_args(arguments)
-    iterations, frames = (60, 3) if options.quick else (150, 40)
-    way, seen = push(iterations, rate=0.01)
+    iterations, frames = (80, 3) if options.quick else (120, 40)
+    way, seen = push(iterations, rate=0.005)
     free = bool(all_separated(SHELF, ellipsoid_at(way[-1], jnp.float32(SEMI_AXES))))
     moved = 1000 * np.linalg.norm(way[-1].position - START.position)
     first, last = seen.min(axis=1)[[0, -1]]

@@ -34,9 +34,10 @@ def add_faces(axes: Any, parts: list[tuple[Points, Color]]) -> None:
     """
     together = np.concatenate([faces for faces, _ in parts])
     colors = [color for faces, color in parts for _ in faces]
-    axes.add_collection3d(
-        Poly3DCollection(together, facecolors=colors, linewidths=0, shade=True)
-    )
+    # Without edges opaque faces have seams; translucent ones would have dark ones.
+    widths = [0.3 if color[3] == 1 else 0 for color in colors]
+    style = {"facecolors": colors, "edgecolors": colors, "linewidths": widths}
+    axes.add_collection3d(Poly3DCollection(together, **style, shade=True))
     set_limits(axes, together.reshape(-1, 3))
 
 
