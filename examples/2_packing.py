@@ -27,7 +27,7 @@ WANTED = 0.02
 AT_ONCE = 64
 """Starts in one vmap: what fits the cache of two cores best; a GPU takes them all."""
 
-DENSITIES = np.arange(0.36, 0.521, 0.02)
+DENSITIES = np.arange(0.42, 0.581, 0.02)
 
 
 class Packed(NamedTuple):

@@ -59,24 +59,6 @@ def all_separated(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
     return jnp.all(jaxbe.certify(box, against(ellipsoid)).verdict == -1, axis=-1)
 
 
-def proved_clearance(
-    direction: Any, box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid
-) -> np.ndarray:
-    """What the distance is at least, in metres, for directions (..., 3) from the box.
-
-    Any direction gives a lower bound; `jaxbe.contact` knows the best one. In float64,
-    less what its rounding can add.
-    """
-    w = np.asarray(direction, np.float64)
-    C, U, e = (np.asarray(x, np.float64) for x in box.fields().values())
-    K, V, a = (np.asarray(x, np.float64) for x in ellipsoid.fields().values())
-    extent = np.sum(e * abs(np.einsum("...ri,...r->...i", U, w)), axis=-1)
-    radius = np.linalg.norm(a * np.einsum("...ri,...r->...i", V, w), axis=-1)
-    doubt = np.abs(w * K).sum(-1) + np.abs(w * C).sum(-1) + extent + radius
-    gap = np.sum(w * (K - C), axis=-1) - extent - radius
-    return (gap - PROVED * doubt) / np.linalg.norm(w, axis=-1)
-
-
 def film(
     file: Path, figure: Any, draw: Callable[[Any], Any], frames: Iterable[Any], fps: int
 ) -> None:

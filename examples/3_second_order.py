@@ -1,0 +1,211 @@
+"""python examples/3_second_order.py --output 3_second_order.png  (--quick: shorter).
+
+The margin has second derivatives. An ellipsoid shall come as near as it can to a target
+in a corner of boxes and keep off them all: a log barrier on its margins, six variables.
+From many starts in one vmap, with one line search for all: steepest descent and L-BFGS
+(gradients only) against Newton's method (the margins' Hessian); and Adam.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from newton import Objective, log_barrier, newton_way, turned
+from placing import Pose, against, boxes, ellipsoid_at, parser
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import jaxbe
+
+CORNER = boxes(
+    (0.0, 0.0, -0.1, 1.0, 1.0, 0.1, 0),
+    (0.6, 0.0, 0.3, 0.1, 0.9, 0.5, 12),
+    (0.0, 0.65, 0.3, 0.9, 0.1, 0.5, -7),
+    (0.25, -0.25, 0.1, 0.15, 0.12, 0.15, 30),
+    (-0.45, 0.15, 0.1, 0.12, 0.15, 0.2, -20),
+)
+SEMI_AXES = np.float32([0.35, 0.12, 0.08])
+TARGET = np.float32([0.5, 0.5, 0.0])
+BARRIER = 0.01
+"""The weight of the logarithms beside the squared way left (m^2)."""
+
+ARRIVED = 1e-3
+"""The gradient's size (per metre and radian) that ends a descent."""
+
+
+class Descent(NamedTuple):
+    """Where all starts end (S, 6), gradients (S, T), seconds of one step of one."""
+
+    x: jax.Array
+    gradient: np.ndarray
+    seconds: float
+
+
+Step = tuple[Callable[..., Any], Callable[..., Any]]
+"""From x, gradient and memory to x and memory, for a batch; and the first memory."""
+
+
+def pose(x: jax.Array, start: Pose) -> Pose:
+    """Moved by x[:3] metres and turned by x[3:] radians or so."""
+    return Pose(start.position + x[:3], turned(start.quaternion, x[3:]))
+
+
+def objective(x: jax.Array, start: Pose) -> jax.Array:
+    """The squared way left, and the barrier."""
+    there = pose(x, start)
+    found = jaxbe.margin(CORNER, against(ellipsoid_at(there, SEMI_AXES)), steps=3)
+    left = jnp.square(there.position - TARGET).sum()
+    return left + BARRIER * log_barrier(found)
+
+
+GOAL = Objective(objective)
+
+
+def newton(start: Pose) -> Step:
+    """The margins' Hessian."""
+
+    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
+        way = newton_way(g, GOAL.hessian(x, start))
+        return GOAL.search(x, way, start), memory
+
+    return step, lambda x: None
+
+
+def steepest(start: Pose) -> Step:
+    """Down the gradient; the steps tried are at most one metre or radian."""
+
+    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
+        way = -g / jnp.linalg.norm(g, axis=-1, keepdims=True)
+        return GOAL.search(x, way, start), memory
+
+    return step, lambda x: None
+
+
+def l_bfgs(start: Pose) -> Step:
+    """Optax's approximation of the Hessian's inverse from ten gradients."""
+    rule = optax.scale_by_lbfgs()
+    update = jax.jit(jax.vmap(rule.update))
+
+    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
+        way, memory = update(g, memory, x)
+        return GOAL.search(x, -way, start), memory
+
+    return step, jax.vmap(rule.init)
+
+
+def adam(start: Pose) -> Step:
+    """Optax's, without a line search."""
+    rule = optax.adam(optax.cosine_decay_schedule(3e-3, STEPS["Adam"]))
+    update = jax.jit(rule.update)
+
+    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
+        way, memory = update(g, memory)
+        return x + way, memory
+
+    return step, rule.init
+
+
+METHODS = {
+    "Newton": newton,
+    "L-BFGS": l_bfgs,
+    "steepest descent": steepest,
+    "Adam": adam,
+}
+STEPS = {"Newton": 50, "L-BFGS": 150, "steepest descent": 300, "Adam": 800}
+
+
+def descend(name: str, start: Pose, steps: int) -> Descent:
+    """All starts at once; once more to be timed without compilation."""
+    step, memory_of = METHODS[name](start)
+    for count in (2, steps):
+        x = jnp.zeros((len(start.position), 6))
+        memory, sizes, began = memory_of(x), [], time.perf_counter()
+        for _ in track(range(count), description=name, transient=True):
+            g = GOAL.gradient(x, start)
+            sizes.append(jnp.linalg.norm(g, axis=-1))
+            x, memory = step(x, g, memory)
+        sizes = np.array(sizes).T
+    seconds = (time.perf_counter() - began) / sizes.size
+    return Descent(x, sizes, seconds)
+
+
+def starts(count: int, seed: int) -> Pose:
+    """Poses (count,) that touch nothing."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform((-0.3, -0.7, 0.1), (0.4, 0.4, 0.6), (20 * count, 3))
+    drawn = Pose(np.float32(position), np.float32(rng.normal(size=(20 * count, 4))))
+    size = np.linalg.norm(drawn.quaternion, axis=-1, keepdims=True)
+    drawn = Pose(drawn.position, drawn.quaternion / size)
+    found = jax.jit(jaxbe.margin)(CORNER, against(ellipsoid_at(drawn, SEMI_AXES)))
+    free = np.flatnonzero(found.min(axis=-1) > 0.02)[:count]
+    return jax.tree.map(lambda x: x[free], drawn)
+
+
+def report(found: dict[str, Descent]) -> dict[str, float]:
+    """Prints a table; returns the median numbers of steps."""
+    table = Table(title=f"until the gradient is below {ARRIVED:g}")
+    for column in ("", "arrive", "steps, median", "90 %", "a step, us", "median, ms"):
+        table.add_column(column, justify="right")
+    medians = {}
+    for name, one in found.items():
+        there = one.gradient < ARRIVED
+        steps = np.where(there.any(axis=1), there.argmax(axis=1), np.inf)
+        medians[name], late = np.quantile(steps, [0.5, 0.9], method="higher")
+        row = f"{there.any(axis=1).mean():.0%}", f"{medians[name]:.0f}", f"{late:.0f}"
+        times = f"{1e6 * one.seconds:.0f}", f"{1e3 * one.seconds * medians[name]:.1f}"
+        table.add_row(name, *row, *times)
+    Console().print(table)
+    return medians
+
+
+def draw(file: Path, start: Pose, found: dict[str, Descent]) -> None:
+    """A start and its end, and the gradients by step and by time."""
+    from matplotlib.figure import Figure
+
+    from jaxbe.viz import draw_bodies
+
+    figure = Figure(figsize=(13, 4.2), dpi=100, layout="constrained")
+    scene = figure.add_subplot(1, 3, 1, projection="3d")
+    first = jax.tree.map(lambda x: x[0], start)
+    last = pose(found["Newton"].x[0], first)
+    both = Pose(*map(jnp.stack, zip(first, last, strict=True)))
+    colors = [(0.5, 0.5, 0.5, 0.4), (0.9, 0.3, 0.1, 1.0)]
+    style = {"box_color": (0.4, 0.6, 0.8, 0.3), "ellipsoid_color": colors}
+    draw_bodies(CORNER, ellipsoid_at(both, SEMI_AXES), scene, **style)
+    scene.plot(*TARGET[:, None], "k*", ms=10, zorder=20)
+    scene.view_init(35, 215)
+    scene.set_title("a start, where Newton ends, the target")
+    for i, axis in enumerate(("step", "time of one descent (ms)")):
+        axes = figure.add_subplot(1, 3, i + 2)
+        for name, one in found.items():
+            unit = (1, 1e3 * one.seconds)[i]
+            x = unit * np.arange(1, one.gradient.shape[1] + 1)
+            low, middle, high = np.quantile(one.gradient, [0.1, 0.5, 0.9], axis=0)
+            (line,) = axes.loglog(x, middle, label=name)
+            axes.fill_between(x, low, high, color=line.get_color(), alpha=0.15)
+        axes.axhline(ARRIVED, color="0.3", ls=":")
+        axes.set(xlabel=axis, ylabel="gradient: median, 10 to 90 %", ylim=(1e-5, None))
+        axes.legend()
+    figure.savefig(file)
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
+    """Descends, reports and draws; returns the median numbers of steps."""
+    options = parser(__doc__, "3_second_order.png").parse_args(arguments)
+    count, scale = (8, 0.5) if options.quick else (64, 1.0)
+    start = starts(count, options.seed)
+    found = {name: descend(name, start, int(scale * STEPS[name])) for name in METHODS}
+    draw(options.output, start, found)
+    return report(found)
+
+
+if __name__ == "__main__":
+    main()
