@@ -8,19 +8,15 @@ From many starts in one vmap, with one line search for all: steepest descent and
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
-from newton import Objective, log_barrier, newton_way, turned
+from descent import METHODS, STEPS, Descent, Objective, descend, log_barrier, turned
 from placing import Pose, against, boxes, ellipsoid_at, parser
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 import jaxbe
@@ -41,18 +37,6 @@ ARRIVED = 1e-3
 """The gradient's size (per metre and radian) that ends a descent."""
 
 
-class Descent(NamedTuple):
-    """Where all starts end (S, 6), gradients (S, T), seconds of one step of one."""
-
-    x: jax.Array
-    gradient: np.ndarray
-    seconds: float
-
-
-Step = tuple[Callable[..., Any], Callable[..., Any]]
-"""From x, gradient and memory to x and memory, for a batch; and the first memory."""
-
-
 def pose(x: jax.Array, start: Pose) -> Pose:
     """Moved by x[:3] metres and turned by x[3:] radians or so."""
     return Pose(start.position + x[:3], turned(start.quaternion, x[3:]))
@@ -67,74 +51,6 @@ def objective(x: jax.Array, start: Pose) -> jax.Array:
 
 
 GOAL = Objective(objective)
-
-
-def newton(start: Pose) -> Step:
-    """The margins' Hessian."""
-
-    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
-        way = newton_way(g, GOAL.hessian(x, start))
-        return GOAL.search(x, way, start), memory
-
-    return step, lambda x: None
-
-
-def steepest(start: Pose) -> Step:
-    """Down the gradient; the steps tried are at most one metre or radian."""
-
-    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
-        way = -g / jnp.linalg.norm(g, axis=-1, keepdims=True)
-        return GOAL.search(x, way, start), memory
-
-    return step, lambda x: None
-
-
-def l_bfgs(start: Pose) -> Step:
-    """Optax's approximation of the Hessian's inverse from ten gradients."""
-    rule = optax.scale_by_lbfgs()
-    update = jax.jit(jax.vmap(rule.update))
-
-    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
-        way, memory = update(g, memory, x)
-        return GOAL.search(x, -way, start), memory
-
-    return step, jax.vmap(rule.init)
-
-
-def adam(start: Pose) -> Step:
-    """Optax's, without a line search."""
-    rule = optax.adam(optax.cosine_decay_schedule(3e-3, STEPS["Adam"]))
-    update = jax.jit(rule.update)
-
-    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
-        way, memory = update(g, memory)
-        return x + way, memory
-
-    return step, rule.init
-
-
-METHODS = {
-    "Newton": newton,
-    "L-BFGS": l_bfgs,
-    "steepest descent": steepest,
-    "Adam": adam,
-}
-STEPS = {"Newton": 50, "L-BFGS": 150, "steepest descent": 300, "Adam": 800}
-
-
-def descend(name: str, start: Pose, steps: int) -> Descent:
-    """All starts at once; once more to be timed without compilation."""
-    step, memory_of = METHODS[name](start)
-    for count in (2, steps):
-        x = jnp.zeros((len(start.position), 6))
-        memory, sizes, began = memory_of(x), [], time.perf_counter()
-        for _ in track(range(count), description=name, transient=True):
-            g = GOAL.gradient(x, start)
-            sizes.append(jnp.linalg.norm(g, axis=-1))
-            x, memory = step(x, g, memory)
-        sizes = np.array(sizes).T
-    seconds = (time.perf_counter() - began) / sizes.size
-    return Descent(x, sizes, seconds)
 
 
 def starts(count: int, seed: int) -> Pose:
@@ -159,7 +75,7 @@ def report(found: dict[str, Descent]) -> dict[str, float]:
         there = one.gradient < ARRIVED
         steps = np.where(there.any(axis=1), there.argmax(axis=1), np.inf)
         medians[name], late = np.quantile(steps, [0.5, 0.9], method="higher")
-        row = f"{there.any(axis=1).mean():.0%}", f"{medians[name]:.0f}", f"{late:.0f}"
+        row = f"{there.any(axis=1).mean():.0%}", f"{medians[name]:g}", f"{late:g}"
         times = f"{1e6 * one.seconds:.0f}", f"{1e3 * one.seconds * medians[name]:.1f}"
         table.add_row(name, *row, *times)
     Console().print(table)
@@ -181,7 +97,10 @@ def draw(file: Path, start: Pose, found: dict[str, Descent]) -> None:
     style = {"box_color": (0.4, 0.6, 0.8, 0.3), "ellipsoid_color": colors}
     draw_bodies(CORNER, ellipsoid_at(both, SEMI_AXES), scene, **style)
     scene.plot(*TARGET[:, None], "k*", ms=10, zorder=20)
-    scene.view_init(35, 215)
+    scene.set(xlim=(-0.75, 0.8), ylim=(-0.75, 0.8), zlim=(-0.2, 0.9))
+    scene.set_box_aspect((1.55, 1.55, 1.1), zoom=1.3)
+    scene.view_init(30, 228)
+    scene.set_axis_off()
     scene.set_title("a start, where Newton ends, the target")
     for i, axis in enumerate(("step", "time of one descent (ms)")):
         axes = figure.add_subplot(1, 3, i + 2)
@@ -202,7 +121,9 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
     options = parser(__doc__, "3_second_order.png").parse_args(arguments)
     count, scale = (8, 0.5) if options.quick else (64, 1.0)
     start = starts(count, options.seed)
-    found = {name: descend(name, start, int(scale * STEPS[name])) for name in METHODS}
+    found = {
+        name: descend(name, GOAL, start, int(scale * STEPS[name])) for name in METHODS
+    }
     draw(options.output, start, found)
     return report(found)
 

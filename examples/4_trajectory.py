@@ -29,7 +29,6 @@ WALLS = boxes(
     (0.0, 0.55, -0.2, 0.15, 0.15, 0.6, 30),
 )
 """An upright slot 36 cm wide, a level one of 37 cm, and a pillar between."""
-
 SEMI_AXES = np.float32([0.36, 0.36, 0.09])
 START, GOAL = np.float32([-1.5, 0.35, -0.2]), np.float32([1.5, 0.2, 0.0])
 LEVEL = np.float32([1, 0, 0, 0])
