@@ -102,7 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> float:
     options.add_argument("--measure", action="store_true", help="success by density")
     options = options.parse_args(arguments)
     if options.quick:
-        options.fruit, options.starts, options.iterations = 20, AT_ONCE, 150
+        options.fruit, options.starts, options.iterations = 20, AT_ONCE, 200
+        options.density = 0.36
     if options.measure:
         return measure(options)[1]
     rng = np.random.default_rng(options.seed)

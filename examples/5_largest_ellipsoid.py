@@ -93,9 +93,8 @@ def scaled(shape: Shape, factor: np.ndarray) -> jaxbe.Ellipsoid:
     return ellipsoid(shape._replace(log_axes=shape.log_axes + size))
 
 
-def starts(rng: np.random.Generator, box: jaxbe.Box, count: int, spread: Any) -> Shape:
-    """Small balls (count,) around a middle; most touch nothing."""
-    low, high = spread
+def starts(rng: np.random.Generator, count: int, low: Any, high: Any) -> Shape:
+    """Small balls (count,) between two corners."""
     position = rng.uniform(low, high, (count, 3))
     pose = Pose(np.float32(position), np.float32(rng.normal(size=(count, 4))))
     return Shape(pose, np.full((count, 3), np.log(0.05), np.float32))
@@ -126,12 +125,11 @@ def draw(file: Path, rows: np.ndarray, both: list[jaxbe.Ellipsoid]) -> None:
 def main(arguments: Sequence[str] | None = None) -> float:
     """Grows both and draws; returns the volume by that of the convex solver."""
     options = parser(__doc__, "5_largest_ellipsoid.png").parse_args(arguments)
-    count, rounds = (4, 6) if options.quick else (64, 30)
+    count, rounds = (4, 25) if options.quick else (64, 30)
     rng = np.random.default_rng(options.seed)
     walls, rows = room(rng)
     program = grower(rounds, 100)
-    near = (np.full(3, -0.1), np.full(3, 0.1))
-    one, volumes = largest(walls, starts(rng, walls, count, near), program, rounds)
+    one, volumes = largest(walls, starts(rng, count, -0.1, 0.1), program, rounds)
     known = convex_volume(rows)
     share = float(volumes.max() / known)
     near = np.mean(volumes > 0.99 * known)
@@ -139,8 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> float:
     print(
         f"{1e3 * known:.2f} l of SciPy's convex solver; {near:.0%} of starts within 1 %"
     )
-    inside = (np.float32([-0.4, -0.4, 0.1]), np.float32([0.4, 0.4, 0.5]))
-    other, volumes = largest(SHELF, starts(rng, SHELF, count, inside), program, rounds)
+    inside = starts(rng, count, (-0.4, -0.4, 0.1), (0.4, 0.4, 0.5))
+    other, volumes = largest(SHELF, inside, program, rounds)
     print(f"shelf: {1e3 * volumes.max():.3f} l proved; starts end at", end=" ")
     print(np.unique(np.round(1e3 * volumes, 1)).tolist(), "l")
     draw(options.output, rows, [one, other])

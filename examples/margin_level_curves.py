@@ -55,7 +55,7 @@ def draw(file: Path, resolution: int) -> None:
         filled, ax=panels, shrink=0.9, pad=0.015, ticks=filled.levels[::4]
     )
     bar.set_label("negative: overlap, black: touching, positive: apart")
-    figure.savefig(file, dpi=160)
+    figure.savefig(file, dpi=110)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -14,6 +14,8 @@ from placing import Pose, ellipsoid_at  # noqa: E402
 
 import jaxbe  # noqa: E402
 
+pytestmark = pytest.mark.bulk
+
 
 @pytest.fixture(autouse=True)
 def jax_as_users_have_it():
