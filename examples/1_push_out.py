@@ -107,7 +107,7 @@ def draw(file: Path, way: list[Pose], seen: np.ndarray, frames: int) -> None:
 def main(arguments: Sequence[str] | None = None) -> bool:
     """Pushes, proves and draws; returns whether the melon is proved to be free."""
     options = parser(__doc__, "1_push_out.gif").parse_args(arguments)
-    iterations, frames = (80, 3) if options.quick else (120, 40)
+    iterations, frames = (60, 3) if options.quick else (70, 35)
     way, seen = push(iterations, rate=0.005)
     free = bool(all_separated(SHELF, ellipsoid_at(way[-1], jnp.float32(SEMI_AXES))))
     moved = 1000 * np.linalg.norm(way[-1].position - START.position)

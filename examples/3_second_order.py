@@ -3,7 +3,8 @@
 The margin has second derivatives. An ellipsoid shall come as near as it can to a target
 in a corner of boxes and keep off them all: a log barrier on its margins, six variables.
 From many starts in one vmap, with one line search for all: steepest descent and L-BFGS
-(gradients only) against Newton's method (the margins' Hessian); and Adam.
+(gradients only) against Newton's method (the margins' Hessian) and Gauss-Newton (the
+barrier's curvature, from the margins' gradients); and Adam.
 """
 
 from __future__ import annotations
@@ -42,15 +43,25 @@ def pose(x: jax.Array, start: Pose) -> Pose:
     return Pose(start.position + x[:3], turned(start.quaternion, x[3:]))
 
 
+def margin(x: jax.Array, start: Pose, box: jaxbe.Box) -> jax.Array:
+    """To the box, or all boxes (N,)."""
+    return jaxbe.margin(box, ellipsoid_at(pose(x, start), SEMI_AXES), steps=3)
+
+
 def objective(x: jax.Array, start: Pose) -> jax.Array:
     """The squared way left, and the barrier."""
-    there = pose(x, start)
-    found = jaxbe.margin(CORNER, against(ellipsoid_at(there, SEMI_AXES)), steps=3)
-    left = jnp.square(there.position - TARGET).sum()
-    return left + BARRIER * log_barrier(found)
+    left = jnp.square(pose(x, start).position - TARGET).sum()
+    return left + BARRIER * log_barrier(margin(x, start, CORNER))
 
 
-GOAL = Objective(objective)
+def gauss_newton(x: jax.Array, start: Pose) -> jax.Array:
+    """The objective's Hessian (6, 6), but for the margins' own."""
+    slopes = jax.vmap(jax.grad(margin), in_axes=(None, None, 0))(x, start, CORNER)
+    slopes /= margin(x, start, CORNER)[:, None]
+    return 2 * jnp.diag(jnp.float32([1, 1, 1, 0, 0, 0])) + BARRIER * slopes.T @ slopes
+
+
+GOAL = Objective(objective, gauss_newton)
 
 
 def starts(count: int, seed: int) -> Pose:

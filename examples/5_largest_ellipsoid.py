@@ -114,9 +114,9 @@ def draw(file: Path, rows: np.ndarray, both: list[jaxbe.Ellipsoid]) -> None:
     style = {"box_color": (0.75, 0.6, 0.4, 0.4), "ellipsoid_color": "tab:orange"}
     draw_bodies(parcels, both[1], right, **style)
     right.view_init(25, -70)
-    right.set_box_aspect((1.2, 1.1, 0.8), zoom=1.3)
+    right.set_box_aspect((1.2, 1.1, 0.8), zoom=1.1)
     left.set_title("between flat walls: as the convex solver says")
-    right.set_title("among parcels on a shelf (three sides not drawn)")
+    right.set_title("among parcels on a shelf (four sides not drawn)")
     for axes in (left, right):
         axes.set_axis_off()
     figure.savefig(file)

@@ -66,7 +66,7 @@ def draw(
     from jaxbe.viz import draw_bodies
 
     best = int(np.argmin(np.where(proved, loss[:, -1], np.inf)))
-    figure = Figure(figsize=(13, 4.2), dpi=100, layout="constrained")
+    figure = Figure(figsize=(13, 4.2), dpi=90, layout="constrained")
     hues = colormaps["Set3"](np.arange(len(task.semi_axes)) % 12)
     for i, (title, pose) in enumerate(
         {"a random start": start, "packed, and proved": packed}.items()
@@ -79,6 +79,8 @@ def draw(
         corners = np.array([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)]).T
         for height in (-z, z):
             scene.plot(*corners, height, color="0.2", lw=1)
+        for corner in corners.T[:4]:
+            scene.plot(*corner[:, None].repeat(2, 1), (-z, z), color="0.2", lw=1)
         scene.set(xlim=(-x, x), ylim=(-y, y), zlim=(-z, z), title=title)
         scene.set_box_aspect(CRATE, zoom=1.05)
         scene.set_axis_off()

@@ -33,7 +33,11 @@ class Objective:
     Each of its derivatives is compiled once, for all descents.
     """
 
-    def __init__(self, function: Callable[..., jax.Array]) -> None:
+    def __init__(
+        self, function: Callable[..., jax.Array], likely: Callable[..., jax.Array]
+    ) -> None:
+        """`likely` is cheaper than the Hessian (n, n), and like it."""
+        self.likely = jax.jit(jax.vmap(likely))
         self.gradient = jax.jit(jax.vmap(jax.grad(function)))
         self.hessian = jax.jit(jax.vmap(jax.jacfwd(jax.grad(function))))
         self._search = jax.jit(jax.vmap(functools.partial(_search, function)))
@@ -82,6 +86,16 @@ def newton(goal: Objective, start: Pose) -> Step:
     return step, lambda x: None
 
 
+def gauss_newton(goal: Objective, start: Pose) -> Step:
+    """What is likely to be the Hessian, from gradients."""
+
+    def step(x: jax.Array, g: jax.Array, memory: Any) -> Any:
+        way = newton_way(g, goal.likely(x, start))
+        return goal.search(x, way, start), memory
+
+    return step, lambda x: None
+
+
 def steepest(goal: Objective, start: Pose) -> Step:
     """Down the gradient; the steps tried are at most one metre or radian."""
 
@@ -118,11 +132,18 @@ def adam(goal: Objective, start: Pose) -> Step:
 
 METHODS = {
     "Newton": newton,
+    "Gauss-Newton": gauss_newton,
     "L-BFGS": l_bfgs,
     "steepest descent": steepest,
     "Adam": adam,
 }
-STEPS = {"Newton": 50, "L-BFGS": 150, "steepest descent": 300, "Adam": 800}
+STEPS = {
+    "Newton": 50,
+    "Gauss-Newton": 80,
+    "L-BFGS": 150,
+    "steepest descent": 300,
+    "Adam": 800,
+}
 
 
 def descend(name: str, goal: Objective, start: Pose, steps: int) -> Descent:

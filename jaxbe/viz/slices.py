@@ -85,8 +85,9 @@ def draw_slice(
     x, y = plane.seen(points)
     values = _over(points, at)
     norm = TwoSlopeNorm(0, levels[0], levels[-1])
+    extend = "both" if values.min() < levels[0] else "max"
     filled = axes.contourf(
-        x, y, values, levels, cmap="RdBu", norm=norm, extend="both", alpha=0.85
+        x, y, values, levels, cmap="RdBu", norm=norm, extend=extend, alpha=0.85
     )
     axes.contour(x, y, values, levels, colors="white", linewidths=0.5, alpha=0.8)
     axes.contour(x, y, values, [0], colors="black", linewidths=1.8)
