@@ -123,7 +123,7 @@ def draw(file: Path, start: Pose, found: dict[str, Descent]) -> None:
             axes.fill_between(x, low, high, color=line.get_color(), alpha=0.15)
         axes.axhline(ARRIVED, color="0.3", ls=":")
         axes.set(xlabel=axis, ylabel="gradient: median, 10 to 90 %", ylim=(1e-5, None))
-        axes.legend()
+        axes.legend(fontsize=8)
     figure.savefig(file)
 
 

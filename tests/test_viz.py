@@ -87,9 +87,7 @@ def test_batches_and_nan_are_refused():
         viz.draw_pair(box, nowhere)
 
 
-@pytest.mark.parametrize(
-    ("across", "dtype"), [(0, np.float32), (1, np.float64), (2, np.float32)]
-)
+@pytest.mark.parametrize(("across", "dtype"), [(0, np.float32), (2, np.float64)])
 def test_the_touching_curve_of_a_slice_is_where_the_margin_is_zero(
     across, dtype, tmp_path
 ):
