@@ -99,8 +99,8 @@ def draw(file: Path, paths: list[Pose], smallest: np.ndarray, frames: int) -> No
 
     from jaxbe.viz import draw_bodies
 
-    figure = Figure(figsize=(7, 4.6), dpi=72, layout="constrained")
-    scene = figure.add_subplot(projection="3d")
+    figure = Figure(figsize=(7, 4.2), dpi=72)
+    scene = figure.add_axes((-0.2, -0.24, 1.4, 1.5), projection="3d")
 
     def frame(shown: tuple[str, Pose, Any]) -> None:
         title, path, which = shown
@@ -112,10 +112,10 @@ def draw(file: Path, paths: list[Pose], smallest: np.ndarray, frames: int) -> No
         draw_bodies(WALLS, robots, scene, rings=10, **style)
         scene.plot(*whole(path).position.T, color="black", lw=1, zorder=20)
         scene.set(xlim=(-1.9, 1.9), ylim=(-1.2, 1.2), zlim=(-0.85, 1.3))
-        scene.set_box_aspect((3.8, 2.4, 2.15), zoom=1.35)
-        scene.view_init(28, -62)
+        scene.set_box_aspect((3.8, 2.4, 2.15), zoom=1.03)
+        scene.view_init(28, -55)
         scene.set_axis_off()
-        scene.set_title(title, y=0.92)
+        figure.suptitle(title, fontsize=12)
 
     count = len(paths[-1].position) + 2
     some = np.linspace(0, count - 1, 9).astype(int)
@@ -131,7 +131,7 @@ def draw(file: Path, paths: list[Pose], smallest: np.ndarray, frames: int) -> No
 def main(arguments: Sequence[str] | None = None) -> bool:
     """Plans, proves and draws; returns whether all way points have the clearance."""
     options = parser(__doc__, "4_trajectory.gif").parse_args(arguments)
-    points, iterations, frames = (24, 200, 2) if options.quick else (48, 600, 20)
+    points, iterations, frames = (24, 200, 2) if options.quick else (48, 600, 18)
     paths, smallest = plan(straight(points, options.seed), iterations)
     robots = ellipsoid_at(whole(paths[-1]), SEMI_AXES)
     safe = np.asarray(all_separated(thicker(WALLS, CLEARANCE), robots))
