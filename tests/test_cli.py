@@ -16,14 +16,16 @@ import pytest
 
 import jaxbe
 from jaxbe import METHODS
-from jaxbe.cli import main, picture
+from jaxbe.cli import main
 from jaxbe.cli.arguments import DEFAULT_SCENE
 from jaxbe.cli.crosscheck import crosscheck
+from jaxbe.cli.picture import check_writable
 from jaxbe.cli.rounding import ratio_rounding, rounding_in_metres
 from jaxbe.cli.sample import Drawn, Sample
 from jaxbe.cli.scene import labels
 from jaxbe.cli.states import random_states, sample_qpos
 from jaxbe.mjx import find_pairs
+from jaxbe.viz import picture
 
 pytestmark = pytest.mark.usefixtures("quick_contact")
 
@@ -735,7 +737,7 @@ def test_without_opengl_and_matplotlib_the_report_comes_and_then_one_line(
         monkeypatch.setenv(name, value)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.delitem(sys.modules, "jaxbe.cli.plot", raising=False)
+    monkeypatch.delitem(sys.modules, "jaxbe.viz.plot", raising=False)
     path = tmp_path / "out.png"
     assert main([scene, *FEW, "--json", "--picture", str(path)]) == 2
     out, err = capsys.readouterr()
@@ -770,14 +772,14 @@ def test_a_broken_setting_of_opengl_does_not_stop_the_tests(scene):
 def test_checking_a_path_leaves_files_as_they_are(tmp_path):
     new, old = tmp_path / "new.png", tmp_path / "old.png"
     old.write_text("kept")
-    picture.check_writable(new)
-    picture.check_writable(old)
+    check_writable(new)
+    check_writable(old)
     assert not new.exists()
     assert old.read_text() == "kept"
 
 
 def test_png_is_what_was_encoded(tmp_path):
-    from jaxbe.cli.render import png
+    from jaxbe.viz.offscreen import png
 
     image = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     encoded = png(image)

@@ -12,7 +12,8 @@ import jaxbe
 from jaxbe.cli import main
 from jaxbe.cli.agreement import EXAMPLES, Agreement
 from jaxbe.cli.pair_results import PairResults
-from jaxbe.cli.picture import NORMAL_COLOR, View, draw
+from jaxbe.cli.picture import draw
+from jaxbe.viz.view import NORMAL_COLOR, Mark, View
 from tests.test_cli import NO_OPENGL, has_hue, pixels, share_of
 
 pytestmark = pytest.mark.bulk
@@ -254,18 +255,22 @@ def view(scene, lift, distance):
     return View(
         scene=scene,
         qpos=[lift],
-        overlapping=[[1, 0]] if distance <= 0 else [],
+        pairs=[[1, 0]] if distance <= 0 else [],
         focus=[1, 0],
-        distance=distance,
-        normal=[0.0, 0.0, -1.0],
-        on_ellipsoid=[0.0, 0.0, lift - 0.3],
-        on_box=[0.0, 0.0, 0.32],
+        marks=[
+            Mark(
+                distance=distance,
+                normal=[0.0, 0.0, -1.0],
+                on_ellipsoid=[0.0, 0.0, lift - 0.3],
+                on_box=[0.0, 0.0, 0.32],
+            )
+        ],
     )
 
 
 def test_the_normal_goes_through_both_points(scene):
     for lift in (0.72, 0.4):
-        seen = view(scene, lift, lift - 0.62)
+        (seen,) = view(scene, lift, lift - 0.62).marks
         start, end = seen.arrow(0.1)
         np.testing.assert_allclose(
             end - start, (abs(lift - 0.62) + 0.2) * np.array(seen.normal)

@@ -22,6 +22,8 @@ from jaxbe.cli.scene import labels, load, pairs_of
 from jaxbe.cli.states import States, random_states, states_from_file
 from jaxbe.cli.sweep import Sweep, batch_size
 from jaxbe.mjx import Pairs
+from jaxbe.viz.picture import Picture
+from jaxbe.viz.view import Mark, View
 
 
 def run(options: Options) -> bool:
@@ -73,20 +75,17 @@ def _examine(model: Any, pairs: Pairs, states: States, options: Options) -> Repo
     )
 
 
-def _draw(model: Any, result: Report, options: Options) -> picture.Picture:
+def _draw(model: Any, result: Report, options: Options) -> Picture:
     """Draws the deepest state."""
     assert options.picture is not None
     deepest = result.sweep.deepest
     geom = result.sweep.pairs.geom
-    view = picture.View(
+    view = View(
         scene=str(options.scene),
         qpos=deepest.qpos.tolist(),
-        overlapping=geom[deepest.overlapping].tolist(),
+        pairs=geom[deepest.overlapping].tolist(),
         focus=geom[deepest.pair].tolist(),
-        distance=float(deepest.contact.distance),
-        normal=deepest.contact.normal.tolist(),
-        on_ellipsoid=deepest.contact.on_ellipsoid.tolist(),
-        on_box=deepest.contact.on_box.tolist(),
+        marks=[Mark.of(deepest.contact)],
     )
     return picture.draw(model, view, options.picture)
 

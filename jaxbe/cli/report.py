@@ -18,8 +18,8 @@ import jaxbe
 from jaxbe.cli.agreement import Agreement, Conflict
 from jaxbe.cli.arguments import Options
 from jaxbe.cli.crosscheck import Crosscheck, Disagreement
-from jaxbe.cli.picture import Picture
 from jaxbe.cli.sweep import Sweep
+from jaxbe.viz.picture import Picture
 
 LISTED = 10
 """How many disagreements are printed; `--json` has all."""

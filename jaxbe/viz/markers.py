@@ -7,53 +7,53 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from jaxbe.cli.picture import (
+from jaxbe.viz.view import (
     NORMAL_COLOR,
     ON_BOX_COLOR,
     ON_ELLIPSOID_COLOR,
     Color,
+    Mark,
     Point,
-    View,
 )
 
 POINT_RADIUS, NORMAL_RADIUS, NORMAL_BEYOND = 0.012, 0.006, 0.07
 """By the camera's distance."""
 
 
-def add_markers(scene: Any, view: View, away: float) -> None:
+def add_markers(scene: Any, mark: Mark, away: float) -> None:
     """Adds two balls, and an arrow through them.
 
     Args:
         scene: a `mujoco.MjvScene`.
-        view: with a contact.
+        mark: a contact.
         away: the camera's distance.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE
     for point, color in (
-        (view.on_ellipsoid, ON_ELLIPSOID_COLOR),
-        (view.on_box, ON_BOX_COLOR),
+        (mark.on_ellipsoid, ON_ELLIPSOID_COLOR),
+        (mark.on_box, ON_BOX_COLOR),
     ):
         _add_geom(scene, sphere, np.array(point), color).size[:] = POINT_RADIUS * away
-    start, end = view.arrow(NORMAL_BEYOND * away)
+    start, end = mark.arrow(NORMAL_BEYOND * away)
     arrow = _add_geom(scene, mujoco.mjtGeom.mjGEOM_ARROW, start, NORMAL_COLOR)
     # MuJoCo draws arrows to half their length.
     tip = 2 * end - start
     mujoco.mjv_connector(arrow, arrow.type, NORMAL_RADIUS * away, start, tip)
 
 
-def add_caption(scene: Any, view: View, away: float, right: Point) -> None:
+def add_caption(scene: Any, mark: Mark, away: float, right: Point) -> None:
     """Adds the distance as text, beside the right end of the arrow.
 
     Args:
         scene: as for `add_markers`.
-        view: as for `add_markers`.
+        mark: as for `add_markers`.
         away: as for `add_markers`.
         right: the direction that is to the right in the picture: so runs the text.
     """
-    ends = view.arrow(1.2 * NORMAL_BEYOND * away)
+    ends = mark.arrow(1.2 * NORMAL_BEYOND * away)
     place = max(ends, key=lambda end: float(end @ right))
     label = _add_geom(scene, mujoco.mjtGeom.mjGEOM_LABEL, place, (1.0, 1.0, 1.0, 1.0))
-    label.label = view.caption()
+    label.label = mark.caption()
 
 
 def _add_geom(scene: Any, kind: Any, position: Point, color: Color) -> Any:

@@ -1,7 +1,7 @@
-"""Renders a state with MuJoCo: `python -m jaxbe.cli.render OUT.png < view.json`.
+"""Renders a state with MuJoCo: `python -m jaxbe.viz.offscreen OUT.png < view.json`.
 
-A process of its own, see `jaxbe.cli.picture`. Two views side by side: the whole
-scene, and the pair in focus with everything else translucent.
+A process of its own, see `jaxbe.viz.picture`. The whole scene; and if a pair is in
+focus this beside it, with everything else translucent.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxbe.cli.markers import add_caption, add_markers
-from jaxbe.cli.picture import Color, Point, View
+from jaxbe.viz.markers import add_caption, add_markers
+from jaxbe.viz.view import Color, Mark, Point, View
 
 SIDE = 720
 """Of each view, pixels."""
@@ -28,6 +28,9 @@ ELLIPSOID_COLOR = (1.0, 0.25, 0.10)
 BOX_COLOR = (0.10, 0.45, 1.0)
 SEE_THROUGH, INSIDE_SEEN = 0.55, 0.3
 REST_ALPHA = 0.1
+
+MARK_SIZE_IN_WHOLE = 0.6
+"""Of points and arrows, by those of the close view."""
 
 DIRECTIONS = tuple(itertools.product(range(0, 360, 30), (-15, -40)))
 """Azimuths and elevations to choose from for the close view, degrees."""
@@ -38,13 +41,13 @@ Direction = tuple[float, float]
 
 def main() -> None:
     """Reads the view from standard input and writes the picture."""
-    view = View(*json.load(sys.stdin))
+    view = View.from_json(json.load(sys.stdin))
     Path(sys.argv[1]).write_bytes(png(render(view)))
 
 
 def render(view: View) -> Image:
-    """Renders both views, (height, width, 3)."""
-    model = mujoco.MjModel.from_xml_path(view.scene)
+    """Renders the views side by side, (height, width, 3)."""
+    model = _load(view.scene)
     data = mujoco.MjData(model)
     data.qpos[:] = view.qpos
     mujoco.mj_forward(model, data)
@@ -55,12 +58,20 @@ def render(view: View) -> Image:
     _remove_floor_above(model, data, point)
     renderer = mujoco.Renderer(model, SIDE, SIDE)
     try:
-        _update(renderer, data, _whole_camera(model, point), _colors(view.pairs()), 1)
-        whole = np.array(renderer.render())
+        if not view.focus:
+            return _whole(renderer, data, point, view, view.known_marks())
+        whole = _whole(renderer, data, point, view, [])
         close = _close(renderer, data, _close_camera(renderer, data, view, point), view)
     finally:
         renderer.close()
     return np.concatenate([whole, close], axis=1)
+
+
+def _load(scene: str) -> Any:
+    """The model, from XML or as it was saved."""
+    if scene.endswith(".mjb"):
+        return mujoco.MjModel.from_binary_path(scene)
+    return mujoco.MjModel.from_xml_path(scene)
 
 
 def png(image: Image) -> bytes:
@@ -82,10 +93,13 @@ def png(image: Image) -> bytes:
 
 
 def _meeting_point(data: Any, view: View) -> Point:
-    """Half way between the witness points, or the geoms if these are not known."""
-    if view.has_contact():
-        return np.add(view.on_ellipsoid, view.on_box) / 2
-    return np.asarray(data.geom_xpos[view.focus].mean(axis=0))
+    """Half way between the witness points, or what comes nearest to that."""
+    marks = view.known_marks()
+    if marks:
+        return np.asarray(np.mean([mark.middle() for mark in marks], axis=0))
+    if view.focus:
+        return np.asarray(data.geom_xpos[view.focus].mean(axis=0))
+    return np.asarray(data.model.stat.center)
 
 
 def _remove_floor_above(model: Any, data: Any, point: Point) -> None:
@@ -117,7 +131,8 @@ def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
     camera = mujoco.MjvCamera()
     camera.lookat[:] = point
     size = min(model.geom_rbound[ellipsoid], model.geom_rbound[box])
-    away = max(6 * size, 3 * abs(np.nan_to_num(view.distance)))
+    marks = view.known_marks()
+    away = max([6 * float(size), *(3 * abs(mark.distance) for mark in marks)])
 
     def aim(direction: Direction) -> None:
         camera.azimuth, camera.elevation = direction
@@ -128,9 +143,11 @@ def _close_camera(renderer: Any, data: Any, view: View, point: Point) -> Any:
         aim(direction)
         _update_close(renderer, data, camera, view)
         ids = _segments(renderer)
-        sideways = np.linalg.norm(np.cross(_forward(direction), view.normal))
         areas = (np.sum(ids == ellipsoid) + 1) * (np.sum(ids == box) + 1)
-        return float(areas * (sideways if view.has_contact() else 1))
+        forward = _forward(direction)
+        crosses = [np.cross(forward, mark.normal) for mark in marks]
+        sideways = [float(np.linalg.norm(x)) for x in crosses] or [1.0]
+        return float(areas * np.mean(sideways))
 
     aim(max(DIRECTIONS, key=visible))
     return camera
@@ -165,25 +182,47 @@ def _depth(data: Any, geom: int, point: Point, direction: Direction) -> float:
     return max(0.0, float(length))
 
 
+def _whole(
+    renderer: Any, data: Any, point: Point, view: View, marks: list[Mark]
+) -> Image:
+    """The whole scene, with contacts over it."""
+    camera = _whole_camera(renderer.model, point)
+    _update(renderer, data, camera, _colors(view), 1)
+    return _marked(renderer, camera, marks, MARK_SIZE_IN_WHOLE)
+
+
 def _close(renderer: Any, data: Any, camera: Any, view: View) -> Image:
-    """The pair in focus; its witness points and normal over it, hidden by nothing."""
+    """The pair in focus, with its contact over it."""
     _update_close(renderer, data, camera, view)
-    scene = renderer.scene
     # Translucent geoms would throw shadows too.
-    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-    if not view.has_contact():
+    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+    return _marked(renderer, camera, view.known_marks(), 1)
+
+
+def _marked(renderer: Any, camera: Any, marks: list[Mark], size: float) -> Image:
+    """The scene; witness points and normals over it, hidden by nothing."""
+    if not marks:
         return np.array(renderer.render())
+    scene, away = renderer.scene, size * camera.distance
     x, y, _ = _forward((camera.azimuth, camera.elevation))
-    add_caption(scene, view, camera.distance, right=np.array([y, -x, 0]))
+    right = np.array([y, -x, 0])
+
+    def caption() -> None:
+        if len(marks) == 1:
+            add_caption(scene, marks[0], away, right)
+
+    caption()
     image = np.array(renderer.render())
     scene.ngeom = 0
-    add_markers(scene, view, camera.distance)
-    add_caption(scene, view, camera.distance, right=np.array([y, -x, 0]))
+    for mark in marks:
+        add_markers(scene, mark, away)
+    caption()
     marked = _segments(renderer)[..., None] >= 0
     return np.where(marked, np.array(renderer.render()), image)
 
 
-def _colors(pairs: list[list[int]]) -> dict[int, Color]:
+def _colors(view: View) -> dict[int, Color]:
+    pairs = [pair for pair in [*view.pairs, view.focus] if pair]
     ellipsoids = {ellipsoid: (*ELLIPSOID_COLOR, 1.0) for ellipsoid, _ in pairs}
     return ellipsoids | {box: (*BOX_COLOR, SEE_THROUGH) for _, box in pairs}
 
