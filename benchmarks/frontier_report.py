@@ -97,7 +97,8 @@ def _draw_kind(numbers: dict[str, Any], kind: str, prefix: Path) -> Path:
         fontsize=11,
         color=INK,
     )
-    file = prefix.with_name(f"{prefix.name}-{kind.replace(' ', '-').replace('^', '')}.png")
+    name = kind.replace(" ", "-").replace("^", "")
+    file = prefix.with_name(f"{prefix.name}-{name}.png")
     figure.savefig(file, dpi=130)
     return file
 
