@@ -179,6 +179,7 @@ def test_published_counts_do_not_depend_on_chunks(monkeypatch):
 GRADIENTS = "margin and gradients, 5 steps"
 
 
+@pytest.mark.slow
 @pytest.mark.bulk
 def test_throughput_writes_every_program(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(throughput, "COPY_BYTES", 8_000)

@@ -12,6 +12,7 @@ from tests.test_benchmarks_margin import run
 pytestmark = pytest.mark.bulk
 
 
+@pytest.mark.slow
 def test_report_and_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(filter, "LOWS", {"random": 0.05})
     monkeypatch.setattr(filter, "STEPS", (0, 1))

@@ -66,6 +66,7 @@ def test_near_touching_moves_to_the_growth_wanted():
     np.testing.assert_allclose(margin_scenes.truth(pairs) + 1, wanted, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_knob_writes_every_scene_dtype_and_step(tmp_path, capsys):
     sizes = ("--pairs=300", "--checked=100", "--repeats=1")
     text, numbers, figure = run(margin_knob.main, tmp_path, *sizes, figure=True)
@@ -127,6 +128,7 @@ def test_plain_autodiff_is_the_gradient_of_the_squared_distance():
     )
 
 
+@pytest.mark.slow
 def test_one_sided_finds_no_dropped_pair(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(one_sided, "CHUNK", 400)
     text, numbers, _ = run(one_sided.main, tmp_path, "--pairs=3000")
@@ -138,6 +140,7 @@ def test_one_sided_finds_no_dropped_pair(tmp_path, capsys, monkeypatch):
         assert not any(found["count"]["dropped"] for found in band["steps"])
 
 
+@pytest.mark.slow
 def test_continuity_meets_all_contacts_and_falls_linearly(tmp_path, capsys):
     sizes = ("--paths=2", "--finest=10")
     text, numbers, figure = run(margin_continuity.main, tmp_path, *sizes, figure=True)

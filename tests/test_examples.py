@@ -44,12 +44,14 @@ def test_packing(tmp_path):
     assert run("2_packing", tmp_path / "a.png") > 0.1
 
 
+@pytest.mark.slow
 def test_second_order(tmp_path):
     steps = run("3_second_order", tmp_path / "a.png")
     assert steps["Newton"] < 25
     assert 2 * steps["Newton"] < steps["L-BFGS"]
 
 
+@pytest.mark.slow
 def test_trajectory(tmp_path):
     assert run("4_trajectory", tmp_path / "a.gif")
 
