@@ -51,10 +51,10 @@ def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
 def test_all_gradients_take_few_loops(bodies, query):
     """One for the value, four for the contact, the rest for what is returned.
 
-    15 with jax 0.9.2; left to itself XLA makes 50.
+    15 with jax 0.9.2, 17 with 0.10.2; left to itself XLA makes 50.
     """
     function = jax.vmap(jax.value_and_grad(query, argnums=(0, 1)))
-    assert programs.fusions(function, *bodies) <= 16
+    assert programs.fusions(function, *bodies) <= 17
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
