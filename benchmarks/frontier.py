@@ -55,7 +55,7 @@ class Point(NamedTuple):
 
 def points(throughput: dict[str, Any], accuracy: dict[str, Any]) -> list[Point]:
     """All settings on all kinds of scenes, with their fronts."""
-    rates = _rates(throughput)
+    rates = rates_by_setting(throughput)
     every = [
         Point(
             e["scene"],
@@ -70,7 +70,8 @@ def points(throughput: dict[str, Any], accuracy: dict[str, Any]) -> list[Point]:
     return [p._replace(on_front=not _is_beaten(p, every)) for p in every]
 
 
-def _rates(throughput: dict[str, Any]) -> dict[tuple[str, str], float]:
+def rates_by_setting(throughput: dict[str, Any]) -> dict[tuple[str, str], float]:
+    """Pairs a second under vmap, by setting and dtype."""
     return {
         (p["setting"], p["dtype"]): p["pairs_per_second"]
         for p in throughput["throughput"]["programs"]
@@ -94,7 +95,7 @@ def _is_beaten(point: Point, every: Sequence[Point]) -> bool:
 
 def table(throughput: dict[str, Any], accuracy: dict[str, Any]) -> dict[str, Any]:
     """What `jaxbe.plan` needs: cost and errors of each setting by spread."""
-    rates, judged = _rates(throughput), settings.named(settings.JUDGED)
+    rates, judged = rates_by_setting(throughput), settings.named(settings.JUDGED)
     entries = [e for e in accuracy["errors"] if e["scene"] not in LEFT_OUT]
     rows = [
         _row(judged[name], dtype, rates[name, dtype], entries)

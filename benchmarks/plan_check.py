@@ -23,7 +23,15 @@ import mujoco
 import numpy as np
 
 import jaxbe
-from benchmarks import accuracy, machine, margin_scenes, report, scenes, settings
+from benchmarks import (
+    accuracy,
+    frontier,
+    machine,
+    margin_scenes,
+    report,
+    scenes,
+    settings,
+)
 from benchmarks.settings import Setting
 from jaxbe.cli import states
 from jaxbe.cli.arguments import DEFAULT_SCENE
@@ -263,12 +271,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measures, prints, writes."""
     options = parse(arguments)
     jax.config.update("jax_enable_x64", True)
-    programs = json.loads(options.throughput.read_text())["throughput"]["programs"]
-    nanoseconds = {
-        (p["setting"], p["dtype"]): 1e9 / p["pairs_per_second"]
-        for p in programs
-        if p["layout"] == "vmap"
-    }
+    rates = frontier.rates_by_setting(json.loads(options.throughput.read_text()))
+    nanoseconds = {key: 1e9 / rate for key, rate in rates.items()}
     with report.progress_bar() as progress:
         bar = progress.add_task("plans", total=len(HELD_OUT))
         plans = measure(options.pairs, nanoseconds, lambda: progress.advance(bar))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, Self
 
 import jax
@@ -67,11 +68,7 @@ class _Body:
             TypeError: wrong or mixed dtypes.
             ValueError: wrong shapes.
         """
-        named = dict(zip(cls._names(), fields, strict=True))
-        body = cls._unflatten(None, fields)
-        body._set(validate.as_floats(cls.__name__, named))
-        body.check_form()
-        return body
+        return cls._converted(validate.as_floats, fields)
 
     @classmethod
     def on_host(cls, *fields: ArrayLike) -> Self:
@@ -89,9 +86,16 @@ class _Body:
             TypeError: wrong or mixed dtypes.
             ValueError: wrong shapes.
         """
+        return cls._converted(validate.as_host_floats, fields)
+
+    @classmethod
+    def _converted(
+        cls, convert: Callable[..., dict[str, Any]], fields: tuple[ArrayLike, ...]
+    ) -> Self:
+        """Built of fields whose values nobody reads."""
         named = dict(zip(cls._names(), fields, strict=True))
         body = cls._unflatten(None, fields)
-        body._set(validate.as_host_floats(cls.__name__, named))
+        body._set(convert(cls.__name__, named))
         body.check_form()
         return body
 

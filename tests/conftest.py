@@ -37,3 +37,14 @@ def quick_contact(monkeypatch):
 @pytest.fixture(params=["closest_features", "all_features", "minkowski"])
 def method(request):
     return request.param
+
+
+@pytest.fixture
+def jax_as_users_have_it():
+    """Brax and MJX mix dtypes and ranks, and train in float32."""
+    with (
+        jax.enable_x64(False),
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+    ):
+        yield

@@ -109,7 +109,8 @@ def test_a_native_function_of_any_version_will_do(monkeypatch):
     monkeypatch.setattr(importlib.metadata, "version", lambda _: "3.99.0")
     monkeypatch.setitem(table(), PAIR, print)
     with pytest.warns(UserWarning, match="left in place"), collision_enabled():
-        pass
+        assert registered() is print
+    assert registered() is print
     monkeypatch.undo()
 
 

@@ -15,18 +15,7 @@ import reach_env  # noqa: E402
 import reach_gradient  # noqa: E402
 from brax.envs.wrappers import training  # noqa: E402
 
-pytestmark = pytest.mark.bulk
-
-
-@pytest.fixture(autouse=True)
-def jax_as_users_have_it():
-    """Brax and MJX mix dtypes and ranks, and train in float32."""
-    with (
-        jax.enable_x64(False),
-        jax.numpy_dtype_promotion("standard"),
-        jax.numpy_rank_promotion("allow"),
-    ):
-        yield
+pytestmark = [pytest.mark.bulk, pytest.mark.usefixtures("jax_as_users_have_it")]
 
 
 @pytest.fixture(scope="module")

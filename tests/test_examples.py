@@ -2,7 +2,6 @@
 
 import runpy
 
-import jax
 import numpy as np
 import pytest
 
@@ -14,17 +13,7 @@ from placing import Pose, ellipsoid_at  # noqa: E402
 
 import jaxbe  # noqa: E402
 
-pytestmark = pytest.mark.bulk
-
-
-@pytest.fixture(autouse=True)
-def jax_as_users_have_it():
-    with (
-        jax.enable_x64(False),
-        jax.numpy_dtype_promotion("standard"),
-        jax.numpy_rank_promotion("allow"),
-    ):
-        yield
+pytestmark = [pytest.mark.bulk, pytest.mark.usefixtures("jax_as_users_have_it")]
 
 
 def run(name, path, *arguments):
