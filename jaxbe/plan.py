@@ -152,15 +152,15 @@ def plan(
             none): the message says what is the least.
     """
     _check(outputs, scene, dtype, share, tolerance, gradients, never_miss)
-    ask = _Ask(scene, gradients, tolerance, SHARES[share], share)
-    names = tuple(dict.fromkeys(_answered_by(name, never_miss) for name in outputs))
+    ask = _Ask(scene, gradients, tolerance, share, never_miss)
+    names = tuple(dict.fromkeys(ask.answered_by(name) for name in outputs))
     for kind in (dtype,) if dtype else ("float32", "float64"):
-        found = {name: _choose(name, kind, ask, never_miss) for name in names}
+        found = {name: _choose(name, kind, ask) for name in names}
         if all(found.values()):
             break
     else:
-        raise ValueError(_best_there_is(found, names, dtype, ask, never_miss))
-    return _plan(found, kind, ask, never_miss)  # type: ignore[arg-type]
+        raise ValueError(_best_there_is(found, names, dtype, ask))
+    return _plan(found, kind, ask)  # type: ignore[arg-type]
 
 
 class _Ask(NamedTuple):
@@ -169,8 +169,21 @@ class _Ask(NamedTuple):
     scene: SceneFacts
     gradients: bool
     tolerance: float | None
-    column: int
     share: float
+    never_miss: bool
+
+    @property
+    def column(self) -> int:
+        """Of the share, in the table."""
+        return SHARES[self.share]
+
+    def answered_by(self, output: str) -> str:
+        """The function that answers."""
+        return "margin" if output == "overlap" and self.never_miss else output
+
+    def is_filter(self, name: str) -> bool:
+        """Whether this function is to drop pairs here, not to give values."""
+        return name == "filter_contacts" or (name == "margin" and self.never_miss)
 
 
 def _check(
@@ -198,32 +211,24 @@ def _check(
         raise ValueError(f"tolerance must be positive, got {tolerance}")
 
 
-def _answered_by(output: str, never_miss: bool) -> str:
-    return "margin" if output == "overlap" and never_miss else output
-
-
-def _choose(name: str, dtype: str, ask: _Ask, never_miss: bool) -> _Row | None:
+def _choose(name: str, dtype: str, ask: _Ask) -> _Row | None:
     """The cheapest row that is accurate enough."""
-    rows = _rows(name, dtype, ask, never_miss)
-    limit = _limit(name, rows, ask, never_miss)
+    rows = _rows(name, dtype, ask)
+    limit = _limit(name, rows, ask)
     # Beyond the table the error is infinite, and so is twice the least one.
     good = [row for row in rows if SAFETY * row.error <= limit and row.error < math.inf]
     return min(good, key=lambda row: row.nanoseconds, default=None)
 
 
-def _limit(name: str, rows: list[_Row], ask: _Ask, never_miss: bool) -> float:
+def _limit(name: str, rows: list[_Row], ask: _Ask) -> float:
     if ask.tolerance is not None:
         return ask.tolerance
-    if _is_filter(name, never_miss):
+    if ask.is_filter(name):
         return FALSE_KEEPS
     return SAFETY * ENOUGH * min(row.error for row in rows)
 
 
-def _is_filter(name: str, never_miss: bool) -> bool:
-    return name == "filter_contacts" or (name == "margin" and never_miss)
-
-
-def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
+def _rows(name: str, dtype: str, ask: _Ask) -> list[_Row]:
     """All settings that could answer."""
     if name == "overlap":
         eps = float(np.finfo(dtype).eps)
@@ -237,7 +242,7 @@ def _rows(name: str, dtype: str, ask: _Ask, never_miss: bool) -> list[_Row]:
     gradients = ask.gradients and question.gradient is not None
     answer = question.gradient if gradients else question.answer
     column = ask.column
-    if _is_filter(name, never_miss):
+    if ask.is_filter(name):
         gradients, answer, column = False, "verdict", 0
     table = [
         row
@@ -269,27 +274,27 @@ def _depth_error(
     )
 
 
-def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask, never_miss: bool) -> Plan:
-    slack = rounding_slack(dtype, ask.scene.spread) if never_miss else None
+def _plan(found: dict[str, _Row], dtype: DType, ask: _Ask) -> Plan:
+    slack = rounding_slack(dtype, ask.scene.spread) if ask.never_miss else None
     return Plan(
         dtype=dtype,
         drop_above=slack if "margin" in found else None,
-        why=tuple(_reason(name, row, ask, never_miss) for name, row in found.items()),
+        why=tuple(_reason(name, row, ask) for name, row in found.items()),
         **{name: row.keywords for name, row in found.items()},
     )
 
 
-def _reason(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
+def _reason(name: str, row: _Row, ask: _Ask) -> str:
     call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
     spheres = ", spheres" if ask.scene.spheres else ""
     spread = ask.scene.spread if name == "overlap" else ask.scene.upper_spread
     where = f"at spread {spread:.3g}{spheres}"
     rate = f"{row.nanoseconds:.3g} ns a pair on {frontier()['machine']}"
-    return f"{name}({call}): {_promise(name, row, ask, never_miss)} {where}; {rate}"
+    return f"{name}({call}): {_promise(name, row, ask)} {where}; {rate}"
 
 
-def _promise(name: str, row: _Row, ask: _Ask, never_miss: bool) -> str:
-    if _is_filter(name, never_miss):
+def _promise(name: str, row: _Row, ask: _Ask) -> str:
+    if ask.is_filter(name):
         return f"misses no pair, keeps {100 * row.error:.2g} % of the separated ones"
     if name == "overlap":
         return f"right wherever |sqrt(q) - 1| > {row.error:.1e}"
@@ -307,11 +312,10 @@ def _best_there_is(
     names: tuple[str, ...],
     dtype: str | None,
     ask: _Ask,
-    never_miss: bool,
 ) -> str:
     last = dtype or "float64"
     errors = {
-        name: SAFETY * min(row.error for row in _rows(name, last, ask, never_miss))
+        name: SAFETY * min(row.error for row in _rows(name, last, ask))
         for name in names
         if found[name] is None
     }
