@@ -59,8 +59,8 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
     """
     steps = as_count("steps", steps, 1, MAX_STEPS)
     n, distance = closest(box, ellipsoid, steps)
-    x, y = witness_points(box, ellipsoid, n)
-    on_box, on_ellipsoid = _world(box, x), _world(box, y)
+    x, d = witness_points(box, ellipsoid, n)
+    on_box, on_ellipsoid = _from_center(box, _turned(box, x)), _from_center(box, d)
     return Contact(
         distance=distance,
         position=(on_box + on_ellipsoid) / 2,
@@ -75,8 +75,7 @@ def _turned(box: Box, x: Components) -> Components:
     return times(split_matrix(box.axes, x[0].ndim), x)
 
 
-def _world(box: Box, x: Components) -> Vectors:
-    """C + U x."""
-    C = split_vector(box.center, x[0].ndim)
-    turned = _turned(box, x)
-    return stack(vector(lambda r: C[r] + turned[r]))
+def _from_center(box: Box, d: Components) -> Vectors:
+    """C + d."""
+    C = split_vector(box.center, d[0].ndim)
+    return stack(vector(lambda r: C[r] + d[r]))

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 
 from jaxbe.closest import closest
-from jaxbe.components import clip, dot, smallest, vector
+from jaxbe.components import (
+    clip,
+    column,
+    dot,
+    smallest,
+    split_matrix,
+    split_vector,
+    times,
+    vector,
+)
 from jaxbe.growth import STEPS_A_LOOP, growth_bounds
 from jaxbe.kept import kept, kept_pair, shared
 from jaxbe.kernel import squared_distance
@@ -88,7 +99,8 @@ def distance_bounds(
     steps = as_count("steps", steps, 1, MAX_STEPS)
     n, lower = closest(box, ellipsoid, steps)
     on_box, on_ellipsoid = witness_points(box, ellipsoid, n)
-    between = vector(lambda i: on_box[i] - on_ellipsoid[i])
+    y = vector(lambda i: _along_axis(box, on_ellipsoid, i))
+    between = vector(lambda i: on_box[i] - y[i])
     apart = jnp.sqrt(dot(between, between))
     pair = canonical_pair_again(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
@@ -96,32 +108,57 @@ def distance_bounds(
     return lower, jnp.maximum(lower, upper)
 
 
-def witness_points(
-    box: Box, ellipsoid: Ellipsoid, n: Components
-) -> tuple[Components, Components]:
-    """The points x of the box and y of the ellipsoid that are extreme along n.
+class WitnessPoints(NamedTuple):
+    """Both from the box's centre, in metres.
 
-    In box coordinates and metres. Where n_i is zero x_i is free, and taken next to y_i.
+    Attributes:
+        on_box: in box coordinates.
+        on_ellipsoid: in world axes, which it is computed in: there and back by the
+            box's axes would cost digits.
+    """
+
+    on_box: Components
+    on_ellipsoid: Components
+
+
+def witness_points(box: Box, ellipsoid: Ellipsoid, n: Components) -> WitnessPoints:
+    """The points of the box and of the ellipsoid that are extreme along n.
+
+    Where n_i is zero the box's point is free in this coordinate: the nearest one to
+    the ellipsoid's is taken.
     """
     reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)
-    pair = canonical_pair_again(box, ellipsoid, reach[2])
+    d = _from_center(box, ellipsoid, reach)
+    e = split_vector(box.half_extents, n[0].ndim)
 
-    def coordinates(i: int) -> tuple[Scalars, Scalars]:
-        y = pair.k[i] - dot(pair.R[i], reach)
-        free = clip(y, -pair.e[i], pair.e[i])
-        x = jnp.where(n[i] == 0, free, jnp.sign(n[i]) * pair.e[i])
-        return kept_pair(x / pair.per_unit, y / pair.per_unit, reach[2])
+    def coordinate(i: int) -> Scalars:
+        free = clip(_along_axis(box, d, i), -e[i], e[i])
+        return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * e[i])
 
-    both = [coordinates(i) for i in range(3)]
-    return vector(lambda i: both[i][0]), vector(lambda i: both[i][1])
+    x = vector(coordinate)
+    return WitnessPoints((*kept_pair(x[0], x[1], d[2]), kept(x[2], d[2])), d)
 
 
 def _reach(pair: CanonicalPair, n: Components) -> Components:
-    """The ellipsoid's point -n, in its own axes and the pair's units, negated."""
+    """The ellipsoid's point -n, in its own axes and metres, negated."""
     along = along_axes(pair, n)
     radius = shared(jnp.sqrt(dot(along, along)))
-    first, second, third = vector(lambda p: pair.a[p] * along[p] / radius)
-    return (*kept_pair(first, second, n[0]), kept(third, n[0]))
+    reach = vector(lambda p: pair.a[p] * along[p] / radius / pair.per_unit)
+    return (*kept_pair(reach[0], reach[1], n[0]), kept(reach[2], n[0]))
+
+
+def _from_center(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
+    """K - V reach - C."""
+    rank = reach[0].ndim
+    C, K = split_vector(box.center, rank), split_vector(ellipsoid.center, rank)
+    turned = times(split_matrix(ellipsoid.axes, rank), reach)
+    d = vector(lambda r: K[r] - C[r] - turned[r])
+    return (*kept_pair(d[0], d[1], reach[2]), kept(d[2], reach[2]))
+
+
+def _along_axis(box: Box, d: Components, i: int) -> Scalars:
+    """Coordinate i of U^T d."""
+    return dot(column(split_matrix(box.axes, d[0].ndim), i), d)
 
 
 def _contained_ball(pair: CanonicalPair) -> Scalars:
