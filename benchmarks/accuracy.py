@@ -34,6 +34,7 @@ from benchmarks import (
     settings,
 )
 from benchmarks.settings import Setting
+from jaxbe import plan_errors
 from jaxbe.distance import MAX_STEPS as MOST_DISTANCE_STEPS
 from jaxbe.growth import MAX_STEPS as MOST_MARGIN_STEPS
 from tests import truth
@@ -91,7 +92,7 @@ class Truth:
         self.answers |= dict.fromkeys(DISTANCES, _distance(exact))
         for name, setting in MOST.items():
             _, gradients = settings.under_vmap(setting)(*exact.bodies())
-            self.answers[name] = _flat(gradients, scene)
+            self.answers[name] = plan_errors.flat_gradient(gradients, _longest(scene))
 
     def judged(self, answer: str) -> np.ndarray:
         """Which pairs count."""
@@ -118,20 +119,8 @@ def _few_contact() -> Callable[..., Any]:
     return settings.under_vmap(Setting("contact", ("steps", 3)))
 
 
-def _flat(gradients: Any, scene: scenes.Scene) -> np.ndarray:
-    """(n, 30): derivatives in lengths times the longest length of the pair."""
-    size = _size(scene)[:, None]
-    parts = []
-    for body in gradients:
-        for field in (f for f in vars(body) if not f.startswith("_")):
-            x = np.asarray(getattr(body, field), np.float64).reshape(scene.size, -1)
-            parts.append(x if field == "axes" else x * size)
-    return np.concatenate(parts, axis=1)
-
-
-def _size(scene: scenes.Scene) -> np.ndarray:
-    lengths = np.concatenate([scene.e, scene.a], axis=1).astype(np.float64)
-    return lengths.max(axis=1)
+def _longest(scene: scenes.Scene) -> np.ndarray:
+    return plan_errors.longest_length(scene.e, scene.a)
 
 
 def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
@@ -143,13 +132,7 @@ def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
         return _wrong_verdicts(_as_verdicts(setting, found), exact) | {
             "false_keep_share": _share(kept & ~exact, ~exact)
         }
-    if setting.gradients:
-        difference = _flat(found[1], true.scene) - exact
-        error = _norm(difference) / np.maximum(_norm(exact), 1e-30)
-    else:
-        error = abs(np.asarray(found, np.float64) - exact)
-        error /= _scale(answer, exact, true.scene)
-    error = error[true.judged(answer)]
+    error = _error(setting, answer, found, true)[true.judged(answer)]
     return {
         "nan": int(np.isnan(error).sum()),
         "error": {
@@ -158,14 +141,13 @@ def judge(setting: Setting, answer: str, true: Truth) -> dict[str, Any]:
     }
 
 
-def _scale(answer: str, exact: np.ndarray, scene: scenes.Scene) -> np.ndarray:
+def _error(setting: Setting, answer: str, found: Any, true: Truth) -> np.ndarray:
+    exact, longest = true.answers[answer], _longest(true.scene)
+    if setting.gradients:
+        return plan_errors.gradient_error(found[1], exact, longest)
     if answer == settings.MARGIN:
-        return np.maximum(1, 1 + exact)
-    return np.maximum(_size(scene), exact)
-
-
-def _norm(x: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.sum(x * x, axis=1))
+        return plan_errors.margin_error(found, exact)
+    return plan_errors.distance_error(found, exact, longest)
 
 
 def _as_verdicts(setting: Setting, found: Any) -> np.ndarray:

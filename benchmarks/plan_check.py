@@ -6,7 +6,8 @@ Run from the repository root, after `benchmarks.frontier`:
 
 For each scene, function and tolerance: the error of the plan's setting there, and its
 cost over that of the fastest setting that keeps the tolerance there (costs as measured
-by `benchmarks.throughput`, errors here). The plan knows the scene's lengths only.
+by `benchmarks.throughput`, errors here). Once the plan knows the scene's lengths only,
+once it has a sample: as many pairs, others of the same scene.
 """
 
 from __future__ import annotations
@@ -57,6 +58,9 @@ QUESTIONS: dict[str, tuple[str, str, bool]] = {
 }
 """What is planned: function, kind of answer, and whether with gradients."""
 
+NEVER = ("never miss", FALSE_KEEPS)
+"""And as a filter."""
+
 
 def shipped(n: int, seed: int) -> scenes.Scene:
     """Pairs of the scene shipped with jaxbe, in random states of its joints."""
@@ -105,34 +109,47 @@ HELD_OUT: dict[str, Callable[[int, int], scenes.Scene]] = {
 """Scenes by name, none of which `benchmarks.accuracy` has."""
 
 
+BASES = ("lengths", "sample")
+"""What a plan is made from."""
+
+
 def measure(
     pairs: int, nanoseconds: dict[tuple[str, str], float], tick: Callable[[], Any]
 ) -> list[dict[str, Any]]:
-    """An entry for each scene, question and tolerance."""
+    """An entry for each scene, question, tolerance and basis."""
     entries = []
     for name, make in HELD_OUT.items():
         scene = make(pairs, SEED)
         facts = jaxbe.scene_facts(*scene.bodies())
+        bases = dict(zip(BASES, (facts, make(pairs, SEED + 1).bodies()), strict=True))
         true = {d: accuracy.Truth(scene.astype(d)) for d in settings.DTYPES}
-        for question in QUESTIONS:
-            found = _errors(question, true, nanoseconds)
+        for question, tolerances in (
+            *dict.fromkeys(QUESTIONS, TOLERANCES).items(),
+            NEVER,
+        ):
+            found = _found(question, true, nanoseconds)
             entries += [
                 {"scene": name, "spread": facts.upper_spread, "question": question}
-                | _compare(question, facts, tolerance, found)
-                for tolerance in TOLERANCES
+                | {"by": by, **_compare(question, basis, tolerance, found)}
+                for tolerance in tolerances
+                for by, basis in bases.items()
             ]
-        found = _false_keeps(true, nanoseconds)
-        entries += [
-            {"scene": name, "spread": facts.upper_spread, "question": "never miss"}
-            | _compare("never miss", facts, tolerance, found)
-            for tolerance in FALSE_KEEPS
-        ]
         tick()
     return entries
 
 
 Found = dict[tuple[str, str], tuple[float, float]]
 """By setting and dtype: nanoseconds, and the error on this scene."""
+
+
+def _found(
+    question: str,
+    true: dict[str, accuracy.Truth],
+    nanoseconds: dict[tuple[str, str], float],
+) -> Found:
+    if question in QUESTIONS:
+        return _errors(question, true, nanoseconds)
+    return _false_keeps(true, nanoseconds)
 
 
 def _errors(
@@ -170,14 +187,17 @@ def _false_keeps(
     }
 
 
+Basis = jaxbe.SceneFacts | tuple[jaxbe.Box, jaxbe.Ellipsoid]
+
+
 def _compare(
-    question: str, facts: jaxbe.SceneFacts, tolerance: float, found: Found
+    question: str, basis: Basis, tolerance: float, found: Found
 ) -> dict[str, Any]:
     """What the plan chose, whether it keeps the tolerance, and its cost."""
     good = [cost for cost, error in found.values() if error <= tolerance]
     entry: dict[str, Any] = {"tolerance": tolerance, "possible": bool(good)}
     try:
-        name, dtype = planned(question, facts, tolerance)
+        name, dtype = planned(question, basis, tolerance)
     except ValueError:
         return entry | {"refused": True}
     cost, error = found[name, dtype]
@@ -187,18 +207,16 @@ def _compare(
     return entry
 
 
-def planned(
-    question: str, facts: jaxbe.SceneFacts, tolerance: float
-) -> tuple[str, str]:
+def planned(question: str, basis: Basis, tolerance: float) -> tuple[str, str]:
     """The setting's name and dtype that the plan has."""
-    if question == "never miss":
-        found = jaxbe.plan("overlap", scene=facts, tolerance=tolerance, never_miss=True)
-        function, gradients = "margin", False
-    else:
+    known = "scene" if isinstance(basis, jaxbe.SceneFacts) else "sample"
+    options: dict[str, Any] = {known: basis, "tolerance": tolerance}
+    if question in QUESTIONS:
         function, _, gradients = QUESTIONS[question]
-        found = jaxbe.plan(
-            function, scene=facts, tolerance=tolerance, share=SHARE, gradients=gradients
-        )
+        found = jaxbe.plan(function, share=SHARE, gradients=gradients, **options)
+    else:
+        function, gradients = "margin", False
+        found = jaxbe.plan("overlap", never_miss=True, **options)
     keywords = getattr(found, function)
     setting = Setting(function, ("steps", keywords["steps"]), gradients)
     return setting.name, found.dtype
@@ -206,33 +224,41 @@ def planned(
 
 def text(numbers: dict[str, Any]) -> str:
     """The report in Markdown."""
-    entries = [e for e in numbers["plans"] if not e["refused"]]
-    kept = sum(e["kept"] for e in entries)
-    cheap = [e for e in entries if e["times_fastest"]]
-    within = sum(e["times_fastest"] <= TIMES_FASTEST for e in cheap)
-    refused = [e for e in numbers["plans"] if e["refused"]]
-    wrongly = sum(e["possible"] for e in refused)
+    plans = numbers["plans"]
+    made = [e for e in plans if not e["refused"]]
     parts = [
         "# Does the plan keep its word?",
-        f"{numbers['pairs']:,} pairs of each scene, none of them in the plan's table. "
-        f"Of {len(entries)} plans {kept} keep the tolerance there (in "
-        f"{100 * SHARE:g} % of the pairs; where none may be missed, as the share of "
-        f"separated pairs that margin and slack keep); {within} of {len(cheap)} cost "
-        f"at most {TIMES_FASTEST} times the fastest setting that keeps it there, both "
-        "as timed by the same run of `benchmarks.throughput`. "
-        f"{len(refused)} tolerances were refused, {wrongly} of which some setting "
-        "would have kept.",
+        f"{numbers['pairs']:,} pairs of each scene, none of them in the plan's table "
+        f"or sample. The tolerance is for {100 * SHARE:g} % of the pairs; where none "
+        "may be missed, for the share of separated pairs that margin and slack keep. "
+        "Costs are those of the same run of `benchmarks.throughput`.",
+        *(_summary(by, [e for e in plans if e["by"] == by]) for by in BASES),
         "## Plans that do not keep the tolerance, or cost more",
-        report.table(HEADER, [_row(e) for e in entries if not _is_good(e)]),
+        report.table(HEADER, [_row(e) for e in made if not _is_good(e)]),
         "## All plans",
-        report.table(HEADER, [_row(e) for e in entries]),
+        report.table(HEADER, [_row(e) for e in made]),
         report.machine_lines(numbers["machine"]),
     ]
     return "\n\n".join(parts)
 
 
+def _summary(by: str, plans: list[dict[str, Any]]) -> str:
+    made = [e for e in plans if not e["refused"]]
+    kept = sum(e["kept"] for e in made)
+    costs = [e["times_fastest"] for e in made if e["times_fastest"]]
+    within = sum(cost <= TIMES_FASTEST for cost in costs)
+    refused = [e for e in plans if e["refused"]]
+    wrongly = sum(e["possible"] for e in refused)
+    return (
+        f"Plans by {by}: of {len(made)} plans {kept} keep the tolerance; {within} of "
+        f"{len(costs)} cost at most {TIMES_FASTEST} times the fastest setting that "
+        f"keeps it. {len(refused)} tolerances were refused, {wrongly} of which some "
+        "setting would have kept."
+    )
+
+
 HEADER = (
-    *("scene", "upper spread", "question", "tolerance", "plan", "dtype"),
+    *("scene", "upper spread", "question", "tolerance", "by", "plan", "dtype"),
     *("error there", "x fastest"),
 )
 
@@ -247,6 +273,7 @@ def _row(e: dict[str, Any]) -> tuple[str, ...]:
         f"{e['spread']:.3g}",
         e["question"],
         f"{e['tolerance']:.0e}",
+        e["by"],
         e["setting"],
         e["dtype"],
         f"{e['error']:.1e}",

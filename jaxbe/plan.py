@@ -1,23 +1,25 @@
 """`plan`: the cheapest settings that are accurate enough for a scene.
 
 It reads `frontier.json`, measured by `python -m benchmarks`: what each setting costs,
-and how wrong it was on random scenes of several spreads, needles, plates and spheres.
+and how wrong it was on random scenes of several spreads, needles, plates and spheres;
+of a sample of the scene's own pairs it measures the errors (see `plan_sample`).
 Costs are of one machine; what counts is their order, which steps give everywhere.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from jaxbe.margin import rounding_slack
-from jaxbe.plan_table import frontier, lines
+from jaxbe.plan_sample import Sample, least_size
+from jaxbe.plan_table import Measured, frontier, lines
 from jaxbe.scene_facts import SceneFacts
+from jaxbe.shapes import Box, Ellipsoid
 
 Output = Literal["overlap", "margin", "signed_distance", "contact", "filter_contacts"]
 DType = Literal["float32", "float64"]
@@ -64,14 +66,12 @@ class _Row(NamedTuple):
         dtype: of the inputs.
         nanoseconds: for a pair, on the machine of the table.
         error: for the scene and the share of pairs asked for.
-        depth: of distances, that of the depths of overlapping pairs.
     """
 
     keywords: Keywords
-    dtype: str
+    dtype: DType
     nanoseconds: float
     error: float
-    depth: float = math.nan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +108,8 @@ class Plan:
 
 def plan(
     *outputs: Output,
-    scene: SceneFacts,
+    scene: SceneFacts | None = None,
+    sample: tuple[Box, Ellipsoid] | None = None,
     gradients: bool = False,
     dtype: DType | None = None,
     tolerance: float | None = None,
@@ -121,7 +122,13 @@ def plan(
         outputs: the functions needed: "overlap", "margin", "signed_distance",
             "contact", "filter_contacts".
         scene: its facts: `jaxbe.scene_facts(box, ellipsoid)`,
-            `jaxbe.mjx.scene_facts(pairs, model)`, or a `SceneFacts` by hand.
+            `jaxbe.mjx.scene_facts(pairs, model)`, or a `SceneFacts` by hand. By
+            default those of the sample.
+        sample: boxes and ellipsoids of the scene in poses of its own, of shapes that
+            broadcast: errors are measured on them then, instead of looked up, and
+            `tolerance` has to be given. At least 4 / (1 - share) pairs, better ten
+            times as many. Settings are compiled for it, which takes seconds to a
+            minute.
         gradients: whether derivatives of margin and distances are needed as well; then
             the tolerance is for these, relative to the size of the gradient.
         dtype: "float32" or "float64"; by default float32 unless the tolerance needs
@@ -140,19 +147,26 @@ def plan(
             `drop_above`; ask for the values of margins in a plan of their own.
 
     Returns:
-        A `Plan`. The errors are those that were measured on random scenes of the same
-        upper spread (see `SceneFacts`), needles and plates included, interpolated in
-        between; half as much again is allowed for, as another scene's may differ. Where
-        bodies are aligned or seldom near each other, less would often do.
+        A `Plan`. Without a sample, the errors are those that were measured on random
+        scenes of the same upper spread (see `SceneFacts`), needles and plates included,
+        interpolated in between; half as much again is allowed for, as another scene's
+        may differ. Where bodies are aligned or seldom near each other, less would often
+        do, and a sample tells. With one, the errors are those on its pairs, two
+        standard deviations up, of what its size can tell.
 
     Raises:
-        TypeError: a scene that is not a SceneFacts.
+        TypeError: a scene that is not a SceneFacts, a sample that is not a pair of
+            bodies, or neither.
         ValueError: no or unknown outputs, or another dtype or share; a tolerance that
             no setting reaches, or a spread beyond the table's (of "overlap" there is
-            none): the message says what is the least.
+            none): the message says what is the least. A sample that is too small, or
+            without a tolerance.
     """
+    pairs = _measured(sample, share, tolerance)
+    scene = pairs.facts if pairs and scene is None else scene
     _check(outputs, scene, dtype, share, tolerance, gradients, never_miss)
-    ask = _Ask(scene, gradients, tolerance, share, never_miss)
+    assert scene is not None
+    ask = _Ask(scene, pairs, gradients, tolerance, share, never_miss)
     names = tuple(dict.fromkeys(ask.answered_by(name) for name in outputs))
     for kind in (dtype,) if dtype else ("float32", "float64"):
         found = {name: _choose(name, kind, ask) for name in names}
@@ -167,15 +181,11 @@ class _Ask(NamedTuple):
     """What is asked, of whatever function."""
 
     scene: SceneFacts
+    sample: Sample | None
     gradients: bool
     tolerance: float | None
     share: float
     never_miss: bool
-
-    @property
-    def column(self) -> int:
-        """Of the share, in the table."""
-        return SHARES[self.share]
 
     def answered_by(self, output: str) -> str:
         """The function that answers."""
@@ -184,6 +194,23 @@ class _Ask(NamedTuple):
     def is_filter(self, name: str) -> bool:
         """Whether this function is to drop pairs here, not to give values."""
         return name == "filter_contacts" or (name == "margin" and self.never_miss)
+
+
+def _measured(sample: Any, share: float, tolerance: float | None) -> Sample | None:
+    if sample is None:
+        return None
+    if not isinstance(sample, tuple) or len(sample) != 2:
+        given = type(sample).__name__
+        raise TypeError(f"sample must be a tuple (box, ellipsoid), got {given}")
+    if tolerance is None:
+        raise ValueError("with a sample, a tolerance must be given")
+    found = Sample(*sample)
+    if share in SHARES and found.size < least_size(share):
+        raise ValueError(
+            f"sample must have at least {least_size(share)} pairs to tell a share of "
+            f"{share}, got {found.size}"
+        )
+    return found
 
 
 def _check(
@@ -211,66 +238,83 @@ def _check(
         raise ValueError(f"tolerance must be positive, got {tolerance}")
 
 
-def _choose(name: str, dtype: str, ask: _Ask) -> _Row | None:
+def _choose(name: str, dtype: DType, ask: _Ask) -> _Row | None:
     """The cheapest row that is accurate enough."""
-    rows = _rows(name, dtype, ask)
-    limit = _limit(name, rows, ask)
+    limit = _limit(name, dtype, ask)
     # Beyond the table the error is infinite, and so is twice the least one.
-    good = [row for row in rows if SAFETY * row.error <= limit and row.error < math.inf]
-    return min(good, key=lambda row: row.nanoseconds, default=None)
+    good = (row for row in _rows(name, dtype, ask) if row.error <= limit < float("inf"))
+    return next(good, None)
 
 
-def _limit(name: str, rows: list[_Row], ask: _Ask) -> float:
+def _limit(name: str, dtype: DType, ask: _Ask) -> float:
     if ask.tolerance is not None:
         return ask.tolerance
     if ask.is_filter(name):
         return FALSE_KEEPS
-    return SAFETY * ENOUGH * min(row.error for row in rows)
+    return ENOUGH * min(row.error for row in _rows(name, dtype, ask))
 
 
-def _rows(name: str, dtype: str, ask: _Ask) -> list[_Row]:
-    """All settings that could answer."""
-    if name == "overlap":
-        eps = float(np.finfo(dtype).eps)
-        band = VERDICT_BAND[dtype] * eps * ask.scene.spread
-        table = [row for row in lines(name) if row.dtype == dtype]
-        return [
-            _Row(MappingProxyType(row.keywords), dtype, row.nanoseconds, band)
-            for row in table
-        ]
-    question = _QUESTIONS[name]
-    gradients = ask.gradients and question.gradient is not None
-    answer = question.gradient if gradients else question.answer
-    column = ask.column
-    if ask.is_filter(name):
-        gradients, answer, column = False, "verdict", 0
+def _rows(name: str, dtype: DType, ask: _Ask) -> Iterator[_Row]:
+    """All settings that could answer, the cheapest first, with what errors to expect.
+
+    One by one: on a sample each is measured when it is asked for.
+    """
+    with_gradients = _with_gradients(name, ask)
     table = [
         row
-        for row in lines(question.function)
-        if row.dtype == dtype and row.gradients == gradients
+        for row in lines(_QUESTIONS[name].function)
+        if row.dtype == dtype and row.gradients == with_gradients
     ]
-    return [
-        _Row(
-            MappingProxyType(row.keywords),
-            dtype,
-            row.nanoseconds,
-            row.error(answer, column, ask.scene),
-            _depth_error(row.keywords, question, dtype, ask),
-        )
-        for row in table
-    ]
+    for row in sorted(table, key=lambda row: row.nanoseconds):
+        keywords = MappingProxyType(row.keywords)
+        yield _Row(keywords, dtype, row.nanoseconds, _error(name, row, ask))
 
 
-def _depth_error(
-    keywords: Keywords, question: _Question, dtype: str, ask: _Ask
-) -> float:
-    """Of the depths with these keywords; NaN for what is no distance."""
-    if question.function != "signed_distance":
-        return math.nan
+def _with_gradients(name: str, ask: _Ask) -> bool:
+    known = _QUESTIONS[name].gradient is not None
+    return ask.gradients and known and not ask.is_filter(name)
+
+
+def _error(name: str, row: Measured, ask: _Ask) -> float:
+    """What to expect of a setting, with what is allowed for."""
+    if name == "overlap":
+        eps = float(np.finfo(row.dtype).eps)
+        return SAFETY * VERDICT_BAND[row.dtype] * eps * ask.scene.spread
+    if ask.is_filter(name):
+        return _false_keeps(name, row, ask)
+    question = _QUESTIONS[name]
+    answer = question.gradient if row.gradients else question.answer
+    if ask.sample is None:
+        return SAFETY * row.error(answer, SHARES[ask.share], ask.scene)
+    return ask.sample.error(
+        question.function,
+        row.keywords["steps"],
+        row.dtype,
+        question.answer,
+        ask.share,
+        row.gradients,
+    )
+
+
+def _false_keeps(name: str, row: Measured, ask: _Ask) -> float:
+    """The share of separated pairs that a filter keeps."""
+    if ask.sample is None:
+        return SAFETY * row.error("verdict", 0, ask.scene)
+    slack = rounding_slack(row.dtype, ask.scene.spread) if name == "margin" else 0.0
+    function, steps = _QUESTIONS[name].function, row.keywords["steps"]
+    return ask.sample.false_keeps(function, steps, row.dtype, slack)
+
+
+def _depth_error(chosen: _Row, ask: _Ask) -> float:
+    """Of the depths of overlapping pairs, by a distance's setting."""
+    keywords = dict(chosen.keywords)
+    if ask.sample is not None:
+        steps, share = keywords["steps"], ask.share
+        return ask.sample.error("signed_distance", steps, chosen.dtype, "depth", share)
     return next(
-        row.error("depth", ask.column, ask.scene)
-        for row in lines(question.function)
-        if (row.keywords, row.dtype, row.gradients) == (keywords, dtype, False)
+        SAFETY * row.error("depth", SHARES[ask.share], ask.scene)
+        for row in lines("signed_distance")
+        if (row.keywords, row.dtype, row.gradients) == (keywords, chosen.dtype, False)
     )
 
 
@@ -288,9 +332,11 @@ def _reason(name: str, row: _Row, ask: _Ask) -> str:
     call = ", ".join(f"{key}={value!r}" for key, value in row.keywords.items())
     spheres = ", spheres" if ask.scene.spheres else ""
     spread = ask.scene.spread if name == "overlap" else ask.scene.upper_spread
-    where = f"at spread {spread:.3g}{spheres}"
+    where = f" at spread {spread:.3g}{spheres}"
+    if ask.sample and name != "overlap":
+        where = f", measured on {ask.sample.size:,}"
     rate = f"{row.nanoseconds:.3g} ns a pair on {frontier()['machine']}"
-    return f"{name}({call}): {_promise(name, row, ask)} {where}; {rate}"
+    return f"{name}({call}): {_promise(name, row, ask)}{where}; {rate}"
 
 
 def _promise(name: str, row: _Row, ask: _Ask) -> str:
@@ -303,25 +349,27 @@ def _promise(name: str, row: _Row, ask: _Ask) -> str:
         return f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs"
     return (
         f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs apart (depths of "
-        f"overlapping ones to {row.depth:.1e})"
+        f"overlapping ones to {_depth_error(row, ask):.1e})"
     )
 
 
 def _best_there_is(
     found: dict[str, _Row | None],
     names: tuple[str, ...],
-    dtype: str | None,
+    dtype: DType | None,
     ask: _Ask,
 ) -> str:
-    last = dtype or "float64"
+    last: DType = dtype or "float64"
     errors = {
-        name: SAFETY * min(row.error for row in _rows(name, last, ask))
+        name: min(row.error for row in _rows(name, last, ask))
         for name in names
         if found[name] is None
     }
     best = ", ".join(f"{name} {error:.1e}" for name, error in errors.items())
+    where = f"at upper spread {ask.scene.upper_spread:.3g}"
+    if ask.sample:
+        where = f"of a sample of {ask.sample.size:,} pairs"
     return (
-        f"no setting is sure to keep tolerance {ask.tolerance} at upper spread "
-        f"{ask.scene.upper_spread:.3g}; the least that is, in {last}: {best} (inf: "
-        "beyond the table)"
+        f"no setting is sure to keep tolerance {ask.tolerance} {where}; the least that "
+        f"is, in {last}: {best} (inf: beyond the table, or NaN)"
     )

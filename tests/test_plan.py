@@ -9,8 +9,10 @@ import pytest
 import jaxbe
 import jaxbe.mjx
 from benchmarks import accuracy, scenes, settings
+from jaxbe import plan_errors
 from jaxbe.cli.arguments import DEFAULT_SCENE
 from jaxbe.plan import ENOUGH, SAFETY
+from jaxbe.plan_sample import upper_quantile, upper_share
 from jaxbe.plan_table import frontier, lines
 
 COMMON = jaxbe.SceneFacts(spread=40)
@@ -249,3 +251,86 @@ def test_the_tolerance_is_kept_on_scenes_not_in_the_table(tolerance):
     margins = np.asarray(settings.under_vmap(setting)(*pairs.bodies()), np.float64)
     error = abs(margins - true) / np.maximum(1, 1 + true)
     assert np.percentile(error, 99.9) <= tolerance
+
+
+EASY = scenes.axis_aligned(scenes.random(8000, seed=3)).astype(np.float32).bodies()
+
+
+def test_a_sample_tells_what_sizes_cannot():
+    """Aligned bodies: the exact margin takes fewer steps than their spread suggests."""
+    facts = jaxbe.scene_facts(*EASY)
+    by_sizes = jaxbe.plan("margin", scene=facts, tolerance=1e-3, share=0.99)
+    found = jaxbe.plan("margin", sample=EASY, tolerance=1e-3, share=0.99)
+    assert found.margin["steps"] < by_sizes.margin["steps"]
+    assert "measured on 8,000" in str(found)
+    margin = np.asarray(jaxbe.margin(*EASY, **found.margin), np.float64)
+    exact = np.asarray(jaxbe.margin(*EASY, steps=10), np.float64)
+    assert np.quantile(plan_errors.margin_error(margin, exact), 0.99) <= 1e-3
+
+
+def test_a_sample_of_other_outputs():
+    filtered = jaxbe.plan("overlap", sample=EASY, tolerance=0.05, never_miss=True)
+    assert filtered.drop_above == jaxbe.rounding_slack("float32", filtered_spread())
+    nearest = jaxbe.plan("filter_contacts", sample=EASY, tolerance=0.5)
+    assert set(nearest.filter_contacts) == {"steps"}
+    distance = jaxbe.plan("contact", sample=EASY, tolerance=1e-3, share=0.99)
+    assert "depths of overlapping ones to" in str(distance)
+    assert jaxbe.plan("overlap", sample=EASY, tolerance=1e-3).overlap is not None
+
+
+def filtered_spread():
+    return jaxbe.scene_facts(*EASY).spread
+
+
+def test_a_sample_of_gradients_in_a_scene_that_broadcasts():
+    box, ellipsoid = EASY
+    one = jax.tree.map(lambda x: x[:1, None], box)
+    grid = jax.tree.map(lambda x: x[:800].reshape(20, 40, *x.shape[1:]), ellipsoid)
+    options = {"share": 0.99, "gradients": True, "dtype": "float32"}
+    found = jaxbe.plan("margin", sample=(one, grid), tolerance=1e-1, **options)
+    assert "gradients to" in str(found)
+    assert "measured on 800" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"sample": EASY}, ValueError, "a tolerance must be given"),
+        ({"sample": 7, "tolerance": 1}, TypeError, r"\(box, ellipsoid\), got int"),
+        ({"sample": EASY[:1], "tolerance": 1}, TypeError, r"\(box, ellipsoid\)"),
+        (
+            {"sample": jax.tree.map(lambda x: x[:99], EASY), "tolerance": 1},
+            ValueError,
+            r"at least 4000 pairs to tell a share of 0\.999, got 99",
+        ),
+        (
+            {"sample": EASY, "tolerance": 1e-9, "dtype": "float32"},
+            ValueError,
+            "of a sample of 8,000 pairs; the least that is, in float32: margin",
+        ),
+        ({}, TypeError, "scene must be a SceneFacts, got NoneType"),
+    ],
+)
+def test_refusals_of_samples(options, error, message):
+    with pytest.raises(error, match=message):
+        jaxbe.plan("margin", **options)
+
+
+def test_pairs_that_are_not_decided_count_as_wrong():
+    center = EASY[0].center.at[:100].set(jnp.nan)
+    box = jaxbe.Box.unchecked(center, EASY[0].axes, EASY[0].half_extents)
+    with pytest.raises(ValueError, match="margin inf"):
+        jaxbe.plan("margin", sample=(box, EASY[1]), tolerance=0.5, dtype="float32")
+
+
+def test_upper_quantiles_hold_for_the_whole_of_which_a_sample_is_known():
+    """Twice the standard deviation: of 400 samples nearly all say enough."""
+    rng = np.random.default_rng(0)
+    errors = rng.exponential(size=(400, 10_000))
+    true = -np.log(1e-3)
+    said = np.array([upper_quantile(e, 0.999) for e in errors])
+    assert np.mean(said >= true) > 0.95
+    assert np.mean(said) < 1.2 * true
+    assert upper_quantile(np.zeros(0), 0.999) == 0
+    counts = rng.binomial(10_000, 1e-3, size=400)
+    assert np.mean([upper_share(k, 10_000) >= 1e-3 for k in counts]) > 0.95

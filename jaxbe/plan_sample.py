@@ -1,0 +1,167 @@
+"""The errors of settings on a sample of a scene's own pairs, for `jaxbe.plan`.
+
+The truth is the same function's at most steps in float64, for the very numbers that a
+setting was given. Errors at a share of the pairs, and shares of pairs, are upper ones:
+by two standard deviations of what a sample of this size can tell.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbe import plan_errors
+from jaxbe.distance import MAX_STEPS as MOST_DISTANCE_STEPS
+from jaxbe.distance import signed_distance
+from jaxbe.growth import MAX_STEPS as MOST_MARGIN_STEPS
+from jaxbe.lower_bound import distance_lower_bound
+from jaxbe.margin import margin
+from jaxbe.pose import batch_shape
+from jaxbe.scene_facts import SceneFacts, scene_facts
+from jaxbe.shapes import Box, Ellipsoid
+
+FUNCTIONS: dict[str, tuple[Callable[..., Any], str, int]] = {
+    "margin": (margin, "margin", MOST_MARGIN_STEPS),
+    "signed_distance": (signed_distance, "signed_distance", MOST_DISTANCE_STEPS),
+    "lower_bound": (distance_lower_bound, "signed_distance", MOST_DISTANCE_STEPS),
+}
+"""By name: the function, what gives its truth, and at how many steps."""
+
+LEAST_EXPECTED = 4
+"""Pairs beyond a share that a sample must expect, to tell that there are not more."""
+
+
+class Sample:
+    """Pairs of a scene, and how wrong settings are on them.
+
+    Attributes:
+        facts: of the pairs.
+        size: how many.
+    """
+
+    def __init__(self, box: Box, ellipsoid: Ellipsoid) -> None:
+        self.facts: SceneFacts = scene_facts(box, ellipsoid)
+        batch = batch_shape(box, ellipsoid)
+        self.size = math.prod(batch)
+        self._fields = [*_flattened(box, batch), *_flattened(ellipsoid, batch)]
+        self._longest = plan_errors.longest_length(self._fields[2], self._fields[5])
+        self._answers: dict[Any, Any] = {}
+
+    def error(
+        self,
+        function: str,
+        steps: int,
+        dtype: str,
+        answer: str,
+        share: float,
+        gradients: bool = False,
+    ) -> float:
+        """At the share of the pairs, by `plan_errors`; infinite where it is NaN.
+
+        Args:
+            function: a name of FUNCTIONS.
+            steps: its knob.
+            dtype: of the inputs.
+            answer: "margin", "distance" (of pairs apart) or "depth" (of the others).
+            share: of the pairs that count.
+            gradients: whether that of the derivatives.
+        """
+        found = self._answer(function, steps, dtype, gradients)
+        _, exact_by, most = FUNCTIONS[function]
+        exact = self._answer(exact_by, most, dtype, gradients, "float64")
+        if gradients:
+            exact = plan_errors.flat_gradient(exact, self._longest)
+            errors = plan_errors.gradient_error(found, exact, self._longest)
+        elif answer == "margin":
+            errors = plan_errors.margin_error(found, exact)
+        else:
+            errors = plan_errors.distance_error(found, exact, self._longest)
+        counts = self._counts(answer, dtype)
+        return upper_quantile(np.where(np.isnan(errors), np.inf, errors)[counts], share)
+
+    def false_keeps(self, function: str, steps: int, dtype: str, slack: float) -> float:
+        """The share of separated pairs that a filter keeps: not above the slack."""
+        found = np.asarray(self._answer(function, steps, dtype))
+        _, exact_by, most = FUNCTIONS[function]
+        apart = np.asarray(self._answer(exact_by, most, dtype, work="float64")) > 0
+        kept = int(np.sum(apart & ~(found > slack)))
+        return upper_share(kept, int(np.sum(apart)))
+
+    def _counts(self, answer: str, dtype: str) -> Any:
+        """Which pairs an answer is judged by."""
+        if answer == "margin":
+            return slice(None)
+        most = FUNCTIONS["signed_distance"][2]
+        distance = self._answer("signed_distance", most, dtype, work="float64")
+        return (np.asarray(distance) > 0) == (answer == "distance")
+
+    def _answer(
+        self,
+        function: str,
+        steps: int,
+        dtype: str,
+        gradients: bool = False,
+        work: str | None = None,
+    ) -> Any:
+        """What it says of the pairs rounded to `dtype`, reckoned in `work`."""
+        key = function, steps, dtype, gradients, work
+        if key not in self._answers:
+            with _float64_allowed():
+                pairs = [x.astype(dtype).astype(work or dtype) for x in self._fields]
+                bodies = Box.unchecked(*pairs[:3]), Ellipsoid.unchecked(*pairs[3:])
+                found = _program(function, steps, gradients)(*bodies)
+                self._answers[key] = jax.device_get(found)
+        return self._answers[key]
+
+
+def upper_quantile(errors: np.ndarray, share: float) -> float:
+    """The error at a share, of all pairs of which these are a sample."""
+    if not errors.size:
+        return 0.0
+    beyond = errors.size * (1 - share)
+    worse = max(0, math.floor(beyond - 2 * math.sqrt(beyond)))
+    return float(np.partition(errors, -1 - worse)[-1 - worse])
+
+
+def upper_share(count: int, of: int) -> float:
+    """The share of all pairs, if so many of a sample have it."""
+    return (count + 2 + 2 * math.sqrt(count + 1)) / of if of else 0.0
+
+
+def least_size(share: float) -> int:
+    """How many pairs a sample needs for a share."""
+    return 1 if share == 1 else round(LEAST_EXPECTED / (1 - share))
+
+
+@functools.cache
+def _program(function: str, steps: int, gradients: bool) -> Callable[..., Any]:
+    call = functools.partial(FUNCTIONS[function][0], steps=steps)
+    if gradients:
+        return jax.jit(jax.vmap(jax.grad(call, argnums=(0, 1))))
+    return jax.jit(call)
+
+
+def _float64_allowed() -> contextlib.AbstractContextManager[Any]:
+    """Until jax 0.7 the name was another one."""
+    if hasattr(jax, "enable_x64"):
+        allowed: contextlib.AbstractContextManager[Any] = jax.enable_x64(True)
+        return allowed
+    import jax.experimental as older
+
+    return older.enable_x64()  # type: ignore[no-any-return, attr-defined]
+
+
+def _flattened(body: Box | Ellipsoid, batch: tuple[int, ...]) -> list[np.ndarray]:
+    """The fields (n, 3), (n, 3, 3), (n, 3) of a body that broadcasts to the batch."""
+    own = {"axes": (3, 3)}
+    shapes = {name: own.get(name, (3,)) for name in body.fields()}
+    return [
+        np.broadcast_to(np.asarray(x), batch + shapes[name]).reshape(-1, *shapes[name])
+        for name, x in body.fields().items()
+    ]
