@@ -16,8 +16,7 @@ def on_config(config: Any) -> Any:
     for entry in config.nav:
         for section, pattern in entry.items():
             if isinstance(pattern, str) and pattern.endswith("*"):
-                folder = pattern.removesuffix("*")
-                entry[section] = [p for p in sources.pages() if p.startswith(folder)]
+                entry[section] = sources.listed(pattern.removesuffix("*"))
     return config
 
 

@@ -50,10 +50,20 @@ def pages() -> dict[str, str]:
     """The Markdown of every page that no file in docs/ has, by its path."""
     made = {name: (ROOT / name).read_text() for name in FILES}
     made |= {path(file): _result(file) for file in sorted(RESULTS.glob("*.md"))}
-    made |= {f"examples/{file.stem}.md": _example(file) for file in scripts()}
     made["examples/index.md"] = _gallery()
+    made |= {f"examples/{file.stem}.md": _example(file) for file in scripts()}
     made["api/command.md"] = f"# Command line\n\n```text\n{_help()}```\n"
     return made
+
+
+def listed(folder: str) -> list[str | dict[str, str]]:
+    """The pages of a folder for the navigation: by heading, if no other has that."""
+    found = {p: text for p, text in pages().items() if p.startswith(folder)}
+    headings = [text.partition("\n")[0] for text in found.values()]
+    return [
+        {Path(p).stem: p} if headings.count(heading) > 1 else p
+        for p, heading in zip(found, headings, strict=True)
+    ]
 
 
 def path(file: Path) -> str:

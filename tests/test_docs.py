@@ -62,6 +62,17 @@ def test_every_example_is_a_page_or_imported_by_one():
     assert len(scripts) >= 9
 
 
+@pytest.mark.parametrize("folder", ["examples/", "benchmarks/results/"])
+def test_the_navigation_lists_every_page_by_a_name_of_its_own(folder):
+    listed = sources.listed(folder)
+    names = [name for entry in listed if isinstance(entry, dict) for name in entry]
+    pages = [page for page in sources.pages() if page.startswith(folder)]
+    paths = [p for e in listed for p in (e.values() if isinstance(e, dict) else [e])]
+    headings = [sources.pages()[e].split("\n")[0] for e in listed if isinstance(e, str)]
+    assert paths == pages
+    assert len({*names, *headings}) == len(listed) > 5
+
+
 def test_every_picture_is_on_a_page():
     shown = {
         (sources.ROOT / page).parent / name
