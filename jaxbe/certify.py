@@ -74,7 +74,7 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
         ellipsoid: a batch shape that broadcasts with the box's.
 
     Returns:
-        A `Certificate` of the common batch shape. Undecided: pairs that touch to
+        A `Certificate` of the common batch shape. Undecided are pairs that touch to
         rounding, in float32 some 1e-5 of sqrt(q) at spreads to 40; NaN and infinity.
 
     Raises:

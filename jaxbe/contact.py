@@ -43,7 +43,7 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
         steps: as for `signed_distance`.
 
     Returns:
-        A `Contact` of the common batch shape: on_box - on_ellipsoid is distance times
+        A `Contact` of the common batch shape. on_box - on_ellipsoid is distance times
         normal, to what `signed_distance` says of accuracy. NaN if any number is NaN or
         infinite.
 

@@ -105,7 +105,7 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
         steps: 0 to 4, evaluations of the kernel. None is needed for spheres.
 
     Returns:
-        Metres, of the common batch shape: at one step or more positive for every pair
+        Metres, of the common batch shape; at one step or more positive for every pair
         that is apart by more than rounding. NaN if any number is NaN, or an axis is
         shorter than half or longer than twice a unit; if one is
         infinite, or lost to under- or overflow, NaN or minus infinity. Derivatives are

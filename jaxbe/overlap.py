@@ -14,6 +14,7 @@ from jaxbe.types import Components, Flags
 Method = Literal["closest_features", "all_features", "minkowski"]
 
 METHODS: tuple[Method, ...] = get_args(Method)
+"""The three tests, as `overlap` calls them."""
 
 _TESTS: dict[str, Callable[[Components, Components, Metric], Flags]] = {
     "closest_features": closest_features.overlaps,

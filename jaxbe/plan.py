@@ -119,7 +119,7 @@ def plan(
     """The cheapest settings for a scene that keep a tolerance, and why.
 
     Args:
-        outputs: the functions needed: "overlap", "margin", "signed_distance",
+        *outputs: the functions needed: "overlap", "margin", "signed_distance",
             "contact", "filter_contacts".
         scene: its facts: `jaxbe.scene_facts(box, ellipsoid)`,
             `jaxbe.mjx.scene_facts(pairs, model)`, or a `SceneFacts` by hand. By

@@ -29,7 +29,7 @@ def scaled_distance(box: Box, ellipsoid: Ellipsoid) -> Scalars:
         ellipsoid: a batch shape that broadcasts with the box's.
 
     Returns:
-        Dimensionless, of the common batch shape: 0 if the centre is in the box,
+        Dimensionless, of the common batch shape; 0 if the centre is in the box,
         1 at touching, NaN if any number is NaN or infinite. In float32 right to
         1e-5 (relative to max(1, answer)) at spreads (see `overlap`) to 40, 1e-4 to
         1000, and finite as long as the centres are nearer than some 1e18 of the

@@ -13,10 +13,15 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
     Flags = Bool[Array, "*batch"]
+    """Booleans of any batch shape."""
     Scalars = Float[Array, "*batch"]
+    """Numbers of any batch shape."""
     Vectors = Float[Array, "*batch 3"]
+    """Vectors (..., 3)."""
     Quaternions = Float[Array, "*batch 4"]
+    """Quaternions (..., 4), scalar part first."""
     Matrices = Float[Array, "*batch 3 3"]
+    """Matrices (..., 3, 3)."""
 else:
     from jax import Array
 

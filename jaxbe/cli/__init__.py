@@ -23,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             None.
 
     Returns:
-        The exit status: 0 fine, 1 tests disagree, 2 bad input.
+        The exit status, 0 fine, 1 tests disagree, 2 bad input.
     """
     try:
         options = parse(argv)
