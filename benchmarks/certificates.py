@@ -120,8 +120,9 @@ def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> Iterator[dict[str
             tick()
 
 
-def text(rows: Sequence[dict[str, Any]], seed: int, hardware: dict[str, Any]) -> str:
+def text(numbers: dict[str, Any]) -> str:
     """The report in Markdown."""
+    rows = numbers["rows"]
     cells = [
         [
             row["spread"],
@@ -137,13 +138,13 @@ def text(rows: Sequence[dict[str, Any]], seed: int, hardware: dict[str, Any]) ->
     return f"""\
 # Certificates
 
-{sum(row["pairs"] for row in rows):,} pairs (seed {seed}), a tenth of them within 1e-6 \
-of touching. "False": a proof that does not hold for the very floats given, in exact \
-rational arithmetic.
+{sum(row["pairs"] for row in rows):,} pairs (seed {numbers["seed"]}), a tenth of them \
+within 1e-6 of touching. "False": a proof that does not hold for the very floats \
+given, in exact rational arithmetic.
 
 {report.table(header, cells)}
 
-{report.machine_lines(hardware)}"""
+{report.machine_lines(numbers["machine"])}"""
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -164,9 +165,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with report.progress_bar() as progress:
         task = progress.add_task("judging", total=len(LOWS) * len(DTYPES))
         rows = list(measure(pairs, options.seed, lambda: progress.advance(task)))
-    hardware = machine.describe()
-    numbers = {"seed": options.seed, "machine": hardware, "rows": rows}
-    report.write(options, text(rows, options.seed, hardware), numbers)
+    numbers = {"seed": options.seed, "machine": machine.describe(), "rows": rows}
+    report.write(options, text(numbers), numbers)
 
 
 if __name__ == "__main__":
