@@ -78,6 +78,8 @@ SUITE = {
 
 MORE = {
     "verdicts": Part("how near to touching a verdict can be wrong", (), False),
+    "certificates": Part("whether certificates prove their verdicts"),
+    "distances": Part("distances and depths beside MuJoCo C, and the least depth"),
     "published": Part("how wrong the paper's pseudocode is", (), False),
     "margin_knob": Part(
         "the margin by steps", ("--figure", "{margin_knob}.png"), False

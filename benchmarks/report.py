@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,13 +37,20 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def command() -> str:
+    """The command line of this process, but for Python's own folder."""
+    return shlex.join(["python", *sys.orig_argv[1:]])
+
+
 def write(options: argparse.Namespace, text: str, numbers: Mapping[str, Any]) -> None:
-    """Prints the report; writes the files asked for."""
+    """Prints the report and the command that made it; writes the files asked for."""
+    text = f"{text}\n\n`{command()}`"
     print(text)
     if options.markdown:
         options.markdown.write_text(text + "\n")
     if options.json:
-        options.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        found = {"command": command(), **numbers}
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 def progress_bar() -> Progress:

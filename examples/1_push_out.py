@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from placing import Pose, against, all_separated, boxes, ellipsoid_at, film, parser
+from command_line import parser, say
+from placing import Pose, against, all_separated, boxes, ellipsoid_at, film
 from rich.progress import track
 
 import jaxbe
@@ -111,10 +112,12 @@ def main(arguments: Sequence[str] | None = None) -> bool:
     way, seen = push(iterations, rate=0.005)
     free = bool(all_separated(SHELF, ellipsoid_at(way[-1], jnp.float32(SEMI_AXES))))
     moved = 1000 * np.linalg.norm(way[-1].position - START.position)
-    first, last = seen.min(axis=1)[[0, -1]]
-    print(f"smallest margin {first:.3f} -> {last:.3f} by moving {moved:.0f} mm")
-    print("proved apart from all boxes" if free else "NOT free of all boxes")
     draw(options.output, way, seen, frames)
+    text = """\
+smallest margin {margins[0]:.3f} -> {margins[1]:.3f} by moving {moved_mm:.0f} mm
+proved apart from all boxes: {proved_apart}"""
+    margins = seen.min(axis=1)[[0, -1]].tolist()
+    say(options, text, margins=margins, moved_mm=float(moved), proved_apart=free)
     return free
 
 

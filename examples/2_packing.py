@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import optax
+from command_line import parser, say
 from crate import Instance, draw, instance, random_poses
 from fruit import loss, proved
-from placing import Pose, ellipsoid_at, parser
+from placing import Pose, ellipsoid_at
 from rich.progress import track
 
 WANTED = 0.02
@@ -69,27 +70,31 @@ def solve(pack: Any, task: Instance, start: Pose) -> Packed:
 place = jax.jit(ellipsoid_at)
 
 
-def measure(options: argparse.Namespace) -> tuple[float, float]:
-    """Where packing begins to fail, and its success at 60 % of that density."""
+def measure(options: argparse.Namespace) -> float:
+    """Finds where packing begins to fail; returns its success at 60 % of that."""
     rng = np.random.default_rng(options.seed)
-    pack = packer(options.iterations)
+    pack, rows = packer(options.iterations), []
 
-    def success(density: float, instances: int) -> tuple[float, float]:
+    def success(density: float, instances: int) -> float:
         found = []
         for _ in track(range(instances), description=f"density {density:.2f}"):
             task = instance(rng, options.fruit, density)
             start = random_poses(rng, (AT_ONCE, options.fruit))
             found.append(solve(pack, task, start).proved)
-        some, each = np.mean(np.any(found, axis=1)), np.mean(found)
+        some, each = float(np.mean(np.any(found, axis=1))), float(np.mean(found))
+        rows.append({"density": density, "instances": some, "starts": each})
         print(f"{density:.3f}: {some:.0%} of {instances} instances, ", end="")
         print(f"{each:.0%} of their {AT_ONCE} starts each")
-        return float(some), float(each)
+        return some
 
     counts = (2, 3) if options.quick else (20, 100)
     ladder = DENSITIES[::4] if options.quick else DENSITIES
-    fails = next((d for d in ladder if success(d, counts[0])[0] < 1), ladder[-1])
-    print(f"begins to fail at {fails:.2f}; at 60 % of that:")
-    return float(fails), success(0.6 * fails, counts[1])[0]
+    ladder = [float(d) for d in ladder]
+    fails = next((d for d in ladder if success(d, counts[0]) < 1), ladder[-1])
+    some = success(0.6 * fails, counts[1])
+    text = "begins to fail at {fails:.2f}; at 60 % of that {success:.0%} succeed"
+    say(options, text, fails=fails, success=some, of=counts, rows=rows)
+    return some
 
 
 def main(arguments: Sequence[str] | None = None) -> float:
@@ -105,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
         options.fruit, options.starts, options.iterations = 20, AT_ONCE, 200
         options.density = 0.36
     if options.measure:
-        return measure(options)[1]
+        return measure(options)
     rng = np.random.default_rng(options.seed)
     task, pack = (
         instance(rng, options.fruit, options.density),
@@ -117,11 +122,12 @@ def main(arguments: Sequence[str] | None = None) -> float:
         part = jax.tree.map(lambda x, i=i: x[i : i + AT_ONCE], start)
         parts.append(solve(pack, task, part))
     packed = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    print(
-        f"{options.fruit} fruit fill {options.density:.0%} of the free volume: ", end=""
-    )
-    print(f"{packed.proved.sum()} of {options.starts} starts end in a proved packing, ")
-    print(f"{time.perf_counter() - began:.0f} s with proofs and compilation")
+    text = """\
+{fruit} fruit fill {density:.0%} of the free volume: {proved} of {starts} starts end in
+a proved packing, {pack_seconds:.0f} s with proofs and compilation"""
+    numbers = {name: vars(options)[name] for name in ("fruit", "density", "starts")}
+    numbers["pack_seconds"] = time.perf_counter() - began
+    say(options, text, proved=int(packed.proved.sum()), **numbers)
     draw(options.output, task, start, *packed)
     return float(packed.proved.mean())
 

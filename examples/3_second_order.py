@@ -15,8 +15,19 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from descent import METHODS, STEPS, Descent, Objective, descend, log_barrier, turned
-from placing import Pose, against, boxes, ellipsoid_at, parser
+from command_line import parser, say
+from descent import (
+    ARRIVED,
+    METHODS,
+    STEPS,
+    Descent,
+    Objective,
+    descend,
+    log_barrier,
+    summary,
+    turned,
+)
+from placing import Pose, against, boxes, ellipsoid_at
 from rich.console import Console
 from rich.table import Table
 
@@ -33,9 +44,6 @@ SEMI_AXES = np.float32([0.35, 0.12, 0.08])
 TARGET = np.float32([0.5, 0.5, 0.0])
 BARRIER = 0.01
 """The weight of the logarithms beside the squared way left (m^2)."""
-
-ARRIVED = 1e-3
-"""The gradient's size (per metre and radian) that ends a descent."""
 
 
 def pose(x: jax.Array, start: Pose) -> Pose:
@@ -76,21 +84,12 @@ def starts(count: int, seed: int) -> Pose:
     return jax.tree.map(lambda x: x[free], drawn)
 
 
-def report(found: dict[str, Descent]) -> dict[str, float]:
-    """Prints a table; returns the median numbers of steps."""
-    table = Table(title=f"until the gradient is below {ARRIVED:g}")
-    for column in ("", "arrive", "steps, median", "90 %", "a step, us", "median, ms"):
-        table.add_column(column, justify="right")
-    medians = {}
-    for name, one in found.items():
-        there = one.gradient < ARRIVED
-        steps = np.where(there.any(axis=1), there.argmax(axis=1), np.inf)
-        medians[name], late = np.quantile(steps, [0.5, 0.9], method="higher")
-        row = f"{there.any(axis=1).mean():.0%}", f"{medians[name]:g}", f"{late:g}"
-        times = f"{1e6 * one.seconds:.0f}", f"{1e3 * one.seconds * medians[name]:.1f}"
-        table.add_row(name, *row, *times)
+def report(rows: dict[str, dict[str, float | None]]) -> None:
+    """Prints a table."""
+    table = Table("", *rows["Newton"], title=f"until the gradient is below {ARRIVED:g}")
+    for name, row in rows.items():
+        table.add_row(name, *("-" if x is None else f"{x:.0f}" for x in row.values()))
     Console().print(table)
-    return medians
 
 
 def draw(file: Path, start: Pose, found: dict[str, Descent]) -> None:
@@ -127,7 +126,7 @@ def draw(file: Path, start: Pose, found: dict[str, Descent]) -> None:
     figure.savefig(file)
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
+def main(arguments: Sequence[str] | None = None) -> dict[str, float | None]:
     """Descends, reports and draws; returns the median numbers of steps."""
     options = parser(__doc__, "3_second_order.png").parse_args(arguments)
     count, scale = (8, 0.5) if options.quick else (64, 1.0)
@@ -137,7 +136,13 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
         name: descend(name, GOAL, start, int(scale * STEPS[name])) for name in names
     }
     draw(options.output, start, found)
-    return report(found)
+    rows = {name: summary(one) for name, one in found.items()}
+    report(rows)
+    text = "a Hessian takes as long as {hessian_by_gradient:.1f} gradients"
+    say(
+        options, text, methods=rows, hessian_by_gradient=GOAL.hessian_by_gradient(start)
+    )
+    return {name: row["steps, median"] for name, row in rows.items()}
 
 
 if __name__ == "__main__":

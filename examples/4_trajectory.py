@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from placing import Pose, against, all_separated, boxes, ellipsoid_at, film, parser
+from command_line import parser, say
+from placing import Pose, against, all_separated, boxes, ellipsoid_at, film
 from rich.progress import track
 
 import jaxbe
@@ -120,9 +121,8 @@ def draw(file: Path, paths: list[Pose], smallest: np.ndarray, frames: int) -> No
     count = len(paths[-1].position) + 2
     some = np.linspace(0, count - 1, 9).astype(int)
     early = np.unique(np.geomspace(1, len(smallest), frames).astype(int)) - 1
-    found = [
-        (f"iteration {i}, margin {smallest[i]:.2f}", paths[i], some) for i in early
-    ]
+    title = "iteration {}, margin {:.2f}".format
+    found = [(title(i, smallest[i]), paths[i], some) for i in early]
     text = f"{100 * CLEARANCE:.0f} cm guaranteed at every way point"
     way = np.linspace(0, count - 1, 2 * frames).astype(int)
     film(file, figure, frame, [*found, *((text, paths[-1], [i]) for i in way)], fps=8)
@@ -136,12 +136,13 @@ def main(arguments: Sequence[str] | None = None) -> bool:
     robots = ellipsoid_at(whole(paths[-1]), SEMI_AXES)
     safe = np.asarray(all_separated(thicker(WALLS, CLEARANCE), robots))
     nearest = jax.jit(jaxbe.signed_distance)(WALLS, against(robots)).min()
-    print(f"smallest margin {smallest[0]:.2f} -> {smallest[-1]:.2f};", end=" ")
-    print(
-        f"{safe.sum()} of {len(safe)} way points proved {100 * CLEARANCE:.0f} cm clear"
-    )
-    print(f"the nearest comes to {100 * float(nearest):.1f} cm of a box")
     draw(options.output, paths, smallest, frames)
+    text = """\
+smallest margin {margins[0]:.2f} -> {margins[1]:.2f}; {proved} of {points} way points
+proved {clearance:g} m clear; the nearest comes to {nearest:.3f} m of a box"""
+    found = {"proved": int(safe.sum()), "points": len(safe), "nearest": float(nearest)}
+    margins = smallest[[0, -1]].tolist()
+    say(options, text, margins=margins, clearance=CLEARANCE, **found)
     return bool(safe.all())
 
 

@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from placing import Pose, against, all_separated, ellipsoid_at, parser
+from command_line import parser, say
+from placing import Pose, against, all_separated, ellipsoid_at
 from rich.progress import track
 from rooms import SHELF, convex_volume, draw_polytope, room
 
@@ -132,16 +133,15 @@ def main(arguments: Sequence[str] | None = None) -> float:
     one, volumes = largest(walls, starts(rng, count, -0.1, 0.1), program, rounds)
     known = convex_volume(rows)
     share = float(volumes.max() / known)
-    near = np.mean(volumes > 0.99 * known)
-    print(f"room: {1e3 * volumes.max():.2f} l proved, {share:.2%} of the", end=" ")
-    print(
-        f"{1e3 * known:.2f} l of SciPy's convex solver; {near:.0%} of starts within 1 %"
-    )
+    near = float(np.mean(volumes > 0.99 * known))
     inside = starts(rng, count, (-0.4, -0.4, 0.1), (0.4, 0.4, 0.5))
     other, volumes = largest(SHELF, inside, program, rounds)
-    print(f"shelf: {1e3 * volumes.max():.3f} l proved; starts end at", end=" ")
-    print(np.unique(np.round(1e3 * volumes, 1)).tolist(), "l")
     draw(options.output, rows, [one, other])
+    text = """\
+room: {share:.2%} of the volume by SciPy's convex solver proved, {near:.0%} of starts
+within 1 %; shelf: {shelf:.6f} m3 proved; starts end at {ends} l"""
+    ends = np.unique(np.round(1e3 * volumes, 1)).tolist()
+    say(options, text, share=share, near=near, shelf=float(volumes.max()), ends=ends)
     return share
 
 

@@ -23,6 +23,9 @@ VARIABLES = 6
 LENGTHS = 2.0 ** -jnp.arange(12.0)
 """Of the steps tried, all at once: no loop in the search."""
 
+ARRIVED = 1e-3
+"""The gradient's size (per metre and radian) that ends a descent."""
+
 FLATTEST = 1e-4
 """Curvatures below that, by the largest, are taken as that."""
 
@@ -45,6 +48,21 @@ class Objective:
     def search(self, x: jax.Array, way: jax.Array, *more: Any) -> jax.Array:
         """The best of some points x + length * way, or x; all of shape (B, n)."""
         return self._search(x, way, *more)
+
+    def hessian_by_gradient(self, *more: Any) -> float:
+        """How many gradients take as long as a Hessian."""
+        at = jnp.zeros((len(jax.tree.leaves(more)[0]), VARIABLES)), *more
+        return seconds(self.hessian, *at) / seconds(self.gradient, *at)
+
+
+def seconds(function: Any, *arguments: Any, repeats: int = 20) -> float:
+    """Of a call, compiled: the median."""
+    times = []
+    for _ in range(1 + repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(function(*arguments))
+        times.append(time.perf_counter() - began)
+    return float(np.median(times[1:]))
 
 
 def _search(function: Any, x: jax.Array, way: jax.Array, *more: Any) -> jax.Array:
@@ -159,6 +177,19 @@ def descend(name: str, goal: Objective, start: Pose, steps: int) -> Descent:
         sizes = np.array(sizes).T
     seconds = (time.perf_counter() - began) / sizes.size
     return Descent(x, sizes, seconds)
+
+
+def summary(one: Descent) -> dict[str, float | None]:
+    """The starts that arrive, their steps (None: never), and the time of a step."""
+    there = one.gradient < ARRIVED
+    steps = np.where(there.any(axis=1), there.argmax(axis=1), np.inf)
+    median, late = np.quantile(steps, [0.5, 0.9], method="higher").tolist()
+    return {
+        "arrive, %": 100 * float(there.any(axis=1).mean()),
+        "steps, median": median if np.isfinite(median) else None,
+        "steps, 90 %": late if np.isfinite(late) else None,
+        "a step, us": 1e6 * one.seconds,
+    }
 
 
 def log_barrier(margins: jax.Array) -> jax.Array:

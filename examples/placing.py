@@ -6,7 +6,6 @@ not answer (ellipsoid against ellipsoid, ellipsoid in a container), and films.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,15 +69,3 @@ def film(
         for frame in track(list(frames), description="film"):
             draw(frame)
             writer.grab_frame()
-
-
-def parser(doc: str | None, output: str) -> argparse.ArgumentParser:
-    """The options that all examples have."""
-    parser = argparse.ArgumentParser(
-        description=(doc or "").partition("\n")[2],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--output", type=Path, default=Path(output))
-    parser.add_argument("--quick", action="store_true", help="much shorter")
-    parser.add_argument("--seed", type=int, default=0)
-    return parser

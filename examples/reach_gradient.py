@@ -8,7 +8,6 @@ a direction at every depth of an overlap, turns the hand and leads it through th
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from command_line import parser, say
 from reach_env import TARGET, Reach
 from reach_picture import draw_scene, sweep
 
@@ -114,15 +114,12 @@ def draw(file: Path, results: dict[str, Result], env: Reach) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Result]:
     """Optimises twice and draws; returns what was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[2])
-    parser.add_argument("--output", type=Path, default="reach-gradient.png")
-    parser.add_argument("--iterations", type=int, default=400)
-    parser.add_argument("--horizon", type=int, default=40, help="steps of the episode")
-    parser.add_argument("--rate", type=float, default=0.03)
-    parser.add_argument("--weight", type=float, default=100.0, help="of the clearance")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="40 iterations")
-    options = parser.parse_args(arguments)
+    options = parser(__doc__, "reach-gradient.png")
+    options.add_argument("--iterations", type=int, default=400)
+    options.add_argument("--horizon", type=int, default=40, help="steps of the episode")
+    options.add_argument("--rate", type=float, default=0.03)
+    options.add_argument("--weight", type=float, default=100.0, help="of the clearance")
+    options = options.parse_args(arguments)
     if options.quick:
         options.iterations = 40
     env, optimiser, results = Reach(), optax.adam(options.rate), {}
@@ -134,6 +131,11 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Result]:
         memory = optimiser.init(forces)
         results[name] = optimise(improve, forces, memory, weight, options.iterations)
     draw(options.output, results, env)
+    last = {
+        name: {"left": float(r.distance[-1]), "smallest_margin": float(r.margin[-1])}
+        for name, r in results.items()
+    }
+    say(options, "{last}", iterations=options.iterations, last=last)
     return results
 
 

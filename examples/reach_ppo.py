@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from brax.training.agents.ppo import networks, train
+from command_line import parser, say
 from reach_env import Reach
 from reach_picture import draw_scene, sweep
 
@@ -124,22 +125,20 @@ def draw(file: Path, curve: list[Metrics], played: Episodes, env: Reach) -> None
 
 def main(arguments: Sequence[str] | None = None) -> list[Metrics]:
     """Trains and draws; returns the learning curve."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[2])
-    parser.add_argument("--output", type=Path, default="reach-ppo.png")
-    parser.add_argument("--timesteps", type=int, default=1_000_000)
-    parser.add_argument("--envs", type=int, default=64)
-    parser.add_argument("--evaluations", type=int, default=21)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="10,000 steps only")
-    options = parser.parse_args(arguments)
+    options = parser(__doc__, "reach-ppo.png")
+    options.add_argument("--timesteps", type=int, default=1_000_000)
+    options.add_argument("--envs", type=int, default=64)
+    options.add_argument("--evaluations", type=int, default=21)
+    options = options.parse_args(arguments)
     if options.quick:
         options.timesteps, options.evaluations = 10_000, 2
     env = Reach()
     policy, curve = learn(env, options)
     played = play(env, policy, options.seed + 1, count=256)
-    left = np.percentile(played.distance[:, -1], [50, 95, 100])
-    print("256 new episodes: way left, median, 95 % and most:", left.round(3), "m,")
-    print(f"{played.touched[:, -1].mean():.1%} touch a box")
+    left = np.percentile(played.distance[:, -1], [50, 95, 100]).tolist()
+    text = "{episodes} new episodes: {touched} touch a box; left, median, 95 %, most: "
+    found = {"episodes": len(played.path), "touched": int(played.touched[:, -1].sum())}
+    say(options, text + "{left} m", left=left, **found, curve=curve)
     draw(options.output, curve, played, env)
     return curve
 

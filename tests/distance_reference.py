@@ -16,18 +16,17 @@ import jaxbe
 from benchmarks import scenes
 from benchmarks.reference import LONG
 from benchmarks.reference import value_along as value_along
+from jaxbe.distance import DEFAULT_STEPS
 
 
 @functools.cache
-def contact_at(steps=None):
-    options = {} if steps is None else {"steps": steps}
-    return jax.jit(functools.partial(jaxbe.contact, **options))
+def contact_at(steps):
+    return jax.jit(functools.partial(jaxbe.contact, steps=steps))
 
 
 @functools.cache
-def bounds_at(steps=None):
-    options = {} if steps is None else {"steps": steps}
-    return jax.jit(functools.partial(jaxbe.distance_bounds, **options))
+def bounds_at(steps):
+    return jax.jit(functools.partial(jaxbe.distance_bounds, steps=steps))
 
 
 CHUNK = 1000
@@ -46,12 +45,12 @@ def in_chunks(function, scene):
 
 def found(scene, steps=None):
     """`jaxbe.contact` as float64 numpy arrays."""
-    return jaxbe.Contact(*in_chunks(contact_at(steps), scene))
+    return jaxbe.Contact(*in_chunks(contact_at(steps or DEFAULT_STEPS), scene))
 
 
 def bounds(scene, steps=None):
     """`jaxbe.distance_bounds` likewise."""
-    return in_chunks(bounds_at(steps), scene)
+    return in_chunks(bounds_at(steps or DEFAULT_STEPS), scene)
 
 
 def overlapping(scene):

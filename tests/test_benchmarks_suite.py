@@ -11,6 +11,8 @@ import pytest
 from benchmarks import __main__ as suite
 from benchmarks import (
     accuracy,
+    certificates,
+    distances,
     frontier,
     frontier_report,
     limit,
@@ -161,6 +163,22 @@ def test_frontiers_are_drawn(tmp_path):
     (file,) = frontier_report.draw(numbers, tmp_path / "frontier")
     assert file.name == "frontier-random-to-40.png"
     check_picture(file)
+
+
+@pytest.mark.parametrize("part", [certificates, distances])
+def test_reports_are_of_their_numbers(part):
+    name = part.__name__.rpartition(".")[2]
+    files = (suite.RESULTS / f"{name}-cpu.{kind}" for kind in ("json", "md"))
+    numbers, report_written = (file.read_text() for file in files)
+    assert part.text(json.loads(numbers)) in report_written
+
+
+def test_certificates_of_few_pairs(monkeypatch, tmp_path):
+    monkeypatch.setattr(certificates, "LOWS", {"to 40": 0.05})
+    file, text = measured(certificates.main, tmp_path, "--pairs=40")
+    numbers = json.loads(file.read_text())
+    assert [row["false"] for row in numbers["rows"]] == [0, 0]
+    assert numbers["command"] in text
 
 
 def test_limit_gives_rates_and_shares(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Each numbered example, shortened: it keeps its promise, and its picture shows."""
 
+import json
 import runpy
 
 import numpy as np
@@ -19,7 +20,11 @@ pytestmark = [pytest.mark.bulk, pytest.mark.usefixtures("jax_as_users_have_it")]
 def run(name, path, *arguments):
     """What the example's `main` returns, after a look at what it drew."""
     main = runpy.run_path(f"examples/{name}.py")["main"]
-    answer = main(["--quick", "--output", str(path), *arguments])
+    numbers = path.with_suffix(".json")
+    answer = main(
+        ["--quick", "--output", str(path), "--json", str(numbers), *arguments]
+    )
+    assert {"command", "machine", "seconds"} < set(json.loads(numbers.read_text()))
     if not arguments:
         assert image.imread(path)[..., :3].std() > 0.05 * image.imread(path).max()
     return answer

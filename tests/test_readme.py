@@ -1,7 +1,22 @@
 """What the README links exists, and no placeholder was left."""
 
+import json
 import re
 from pathlib import Path
+
+import pytest
+
+from benchmarks import __main__ as suite
+from tests import readme_claims, readme_figures, readme_speeds  # noqa: F401
+
+COMMANDS = {
+    "contact-speed-512": "contact_speed, an earlier version with wider vectors",
+    **{
+        f"scene-{name}": "jaxbe SCENE.xml --states 300000 --sample 300000 --seed 7"
+        for name in ("fish", "dog-v2", "arm-and-shelf")
+    },
+}
+"""Of results that do not say what made them."""
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -19,3 +34,30 @@ def test_linked_and_named_files_exist():
 def test_no_placeholder_is_left():
     words = re.findall(r"\b[A-Z]{7,}\b", README)
     assert set(words) <= {"CITATION", "CONTRIBUTING", "ELLIPSOID"}, words
+
+
+@pytest.mark.parametrize("function", readme_figures.SOURCES, ids=lambda f: f.__name__)
+def test_figures_are_those_of_the_results(function):
+    """`python -m tests.readme_figures` prints what differs, of all sentences."""
+    problems = readme_figures.problems(function, readme_figures.readme())
+    assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("function", readme_figures.SOURCES, ids=lambda f: f.__name__)
+def test_a_figure_that_drifts_is_found(function):
+    text = readme_figures.readme()
+    for claim in readme_figures.claims(function):
+        (found,) = readme_figures.find(claim, text)
+        for figure in range(1, 1 + len(claim.figures)):
+            start, end = found.span(figure)
+            drifted = f"{text[:start]}7777{text[end:]}"
+            assert readme_figures.problem(claim, drifted), claim.text
+
+
+def test_every_results_file_names_its_command():
+    """In itself, or as the suite's parts and the README do."""
+    parts = {name.replace("_", "-") for name in suite.PARTS}
+    for file in (ROOT / readme_figures.RESULTS).glob("*-cpu.json"):
+        name = file.name.removesuffix("-cpu.json")
+        found = json.loads(file.read_text())
+        assert "command" in found or name in parts or name in COMMANDS, file.name
