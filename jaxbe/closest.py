@@ -14,7 +14,7 @@ import numpy as np
 from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_direction, shared
-from jaxbe.pose import CanonicalPair, canonical_pair, canonical_pair_again
+from jaxbe.pose import CanonicalPair, canonical_pair, canonical_pair_again, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.starts import Read, Start, chosen_starts, first_start, other_starts
 from jaxbe.support import along_axes
@@ -76,7 +76,7 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     away = dot(moved, found.n)
     moved = vector(lambda i: moved[i] - away * found.n[i])
     along = along_axes(pair, found.n)
-    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, pair.k[0])
+    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, of_all(pair))
     one = jnp.ones_like(radius)
     d_distance = directional_derivative(
         bodies, tangents, found.n, radius, of_extent=one, of_radius=one
@@ -114,13 +114,13 @@ def _descended(
 ) -> Components:
     """The best end of two descents, in a loop of its own."""
     best = _best(pair, [_refined(pair, u, rounds) for u in starts])
-    return kept_direction(best, pair.k[0])
+    return kept_direction(best, of_all(pair))
 
 
 def _best_refined(pair: CanonicalPair, ends: Sequence[Components]) -> Components:
     """The last steps from the best of several, in a loop of their own."""
     u = _refined(pair, _best(pair, ends), LAST_ROUNDS)
-    return kept_direction(u, pair.k[0])
+    return kept_direction(u, of_all(pair))
 
 
 def _refined(pair: CanonicalPair, u: Components, rounds: int) -> Components:

@@ -33,13 +33,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxbe.components import dot, is_zero, largest, split_vector, vector
+from jaxbe.components import dot, is_zero, largest, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_from, kept_pair
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric, squared_length
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
+from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
@@ -82,8 +82,8 @@ def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
     """Some steps in loops of their own; see STEPS_A_LOOP."""
     trial, lower, _ = _first_steps(pair, count)
     *_, upper = _first_steps(in_other_units(pair, 2), count)
-    trial, lower = kept_pair(trial, lower, pair.k[0])
-    return Iterate(trial, lower, kept_from(upper, pair.k[0]))
+    trial, lower = kept_pair(trial, lower, of_all(pair))
+    return Iterate(trial, lower, kept_from(upper, of_all(pair)))
 
 
 def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
@@ -113,8 +113,7 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     """
     box, ellipsoid = bodies
     alpha = growth_distance(box, ellipsoid, steps)
-    given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
-    alpha = kept(alpha, given)
+    alpha = kept(alpha, of_all(canonical_pair(box, ellipsoid)))
     n, radius, reach = _kept_contact(box, ellipsoid, alpha)
     tangent = directional_derivative(
         bodies,
@@ -136,15 +135,14 @@ def _kept_contact(
     And the touching point, from the ellipsoid's centre and in its axes. In four loops
     of their own.
     """
-    given = split_vector(ellipsoid.semi_axes, alpha.ndim)[0]
     pair = canonical_pair(box, ellipsoid)
     n, _ = _masked_normal(in_other_units(pair, 8), alpha)
     m, radius = _masked_normal(in_other_units(pair, 16), alpha)
-    n_0, n_1 = kept_pair(n[0], n[1], given)
-    n_2, radius = kept_pair(m[2], radius, given)
+    n_0, n_1 = kept_pair(n[0], n[1], alpha)
+    n_2, radius = kept_pair(m[2], radius, alpha)
     still, at = jax.lax.stop_gradient((pair, alpha))
-    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 32), at)[:2], given)
-    r_2 = kept(_reach(in_other_units(still, 64), at)[2], given)
+    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 32), at)[:2], alpha)
+    r_2 = kept(_reach(in_other_units(still, 64), at)[2], alpha)
     return (n_0, n_1, n_2), radius, (r_0, r_1, r_2)
 
 

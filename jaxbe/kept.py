@@ -24,8 +24,9 @@ def kept(x: Scalars, given: Scalars) -> Scalars:
 
     Args:
         x: what several results need.
-        given: an array at hand, of the whole batch: a division by what XLA repeats
-            along an axis becomes a product, and keeps nothing. NaN makes x NaN.
+        given: an array at hand, of the whole batch and no constant (see
+            `jaxbe.pose.of_all`): a division by a constant, or by what XLA repeats along
+            an axis, becomes a product, and keeps nothing. NaN makes x NaN.
     """
     return x / opaque_one(given)
 

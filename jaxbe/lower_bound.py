@@ -58,6 +58,7 @@ from jaxbe.pose import (
     CanonicalPair,
     canonical_pair,
     in_other_units,
+    of_all,
     reciprocal_power_of_two,
 )
 from jaxbe.separation import STEPS_A_LOOP, refined_shift
@@ -128,7 +129,7 @@ def _distance_lower_bound_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
         along = _best(_world(box, ellipsoid, scaled), scaled, steps)
         return along._replace(radius=along.radius / scaled.per_unit)
 
-    given = pair.k[0]
+    given = of_all(pair)
     n_0, n_1 = kept_pair(*found(2).n[:2], given)
     n_2, radius = kept_pair(found(4).n[2], found(4).radius, given)
     one = jnp.ones_like(radius)

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbe.growth import MAX_STEPS, growth_bounds, growth_distance
 from jaxbe.kept import kept_pair
-from jaxbe.pose import canonical_pair
+from jaxbe.pose import canonical_pair, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
 from jaxbe.validate import as_count
@@ -96,7 +96,7 @@ def margin_bounds(
     """
     pair = canonical_pair(box, ellipsoid)
     lower, upper = kept_pair(
-        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), pair.k[0]
+        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), of_all(pair)
     )
     return lower - 1, upper - 1
 

@@ -8,6 +8,8 @@ and V the ellipsoid's.)
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -98,6 +100,15 @@ def canonical_pair_again(
             one that the loop needs anyway. NaN makes the pair NaN.
     """
     return canonical_pair(box, ellipsoid, opaque_one(given))
+
+
+def of_all(pair: CanonicalPair) -> Scalars:
+    """An array of the whole batch, for `jaxbe.kept`: constant only if all of it is.
+
+    What is constant inside `jit`, or the same for many pairs, keeps nothing there. NaN
+    only where k is.
+    """
+    return functools.reduce(operator.add, (*pair.k, pair.R[0][0], *pair.e, *pair.a))
 
 
 def in_other_units(pair: CanonicalPair, factor: float) -> CanonicalPair:

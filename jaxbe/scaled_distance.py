@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe import kernel
-from jaxbe.components import split_vector, vector
+from jaxbe.components import vector
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_pair
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units
+from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.touching import touching
 from jaxbe.types import Components, Scalars
@@ -61,15 +61,14 @@ def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     """sqrt(q) is the maximum over n of (n.k - E) / s: hold the best n."""
     box, ellipsoid = bodies
     distance = _scaled_distance(box, ellipsoid)
-    given = split_vector(ellipsoid.semi_axes, distance.ndim)[0]
-    distance = kept(distance, given)
     pair = canonical_pair(box, ellipsoid)
+    distance = kept(distance, of_all(pair))
     one = jnp.ones_like(distance)
-    n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], given)
-    n_2 = kept(_normal(in_other_units(pair, 4))[2], given)
+    n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], distance)
+    n_2 = kept(_normal(in_other_units(pair, 4))[2], distance)
     still = jax.lax.stop_gradient(pair)
-    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 8))[:2], given)
-    r_2 = kept(_reach(in_other_units(still, 16))[2], given)
+    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 8))[:2], distance)
+    r_2 = kept(_reach(in_other_units(still, 16))[2], distance)
     tangent = directional_derivative(
         bodies,
         tangents,

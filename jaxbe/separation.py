@@ -23,7 +23,7 @@ from jaxbe.components import dot, largest, times, vector
 from jaxbe.kept import kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, Shape, active_inverse, inflated, metric_of, shape
-from jaxbe.pose import CanonicalPair, in_other_units
+from jaxbe.pose import CanonicalPair, in_other_units, of_all
 from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
 
@@ -64,7 +64,7 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
     bracket = _advance(_start(pair), pair, first)
     per_square = 1.0
     for _ in range((steps - first) // STEPS_A_LOOP):
-        mu, low = kept_pair(bracket.mu, bracket.low, pair.k[0])
+        mu, low = kept_pair(bracket.mu, bracket.low, of_all(pair))
         pair = in_other_units(pair, 0.5)
         per_square /= 4
         resumed = Bracket(mu / 4, low / 4, jnp.where(mu > 0, _highest(pair), 0))

@@ -18,7 +18,7 @@ from jaxbe.growth import growth_estimate
 from jaxbe.kept import kept_direction, kept_from, shared
 from jaxbe.kernel import nearest
 from jaxbe.metric import inflated, metric_of, shape
-from jaxbe.pose import CanonicalPair
+from jaxbe.pose import CanonicalPair, of_all
 from jaxbe.separation import shift
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
@@ -38,12 +38,12 @@ TRIED = 3
 
 def first_start(pair: CanonicalPair, read: Read, steps: int) -> Components:
     """Start 0, of any length."""
-    mu = kept_from(shift(pair, steps), pair.k[0])
+    mu = kept_from(shift(pair, steps), of_all(pair))
     pair = read(mu)
     alpha = growth_estimate(pair, GROWTH_STEPS)
     # One of the two at a time: mu is zero where they overlap.
     alpha = jnp.where(mu > 0, 1, jnp.minimum(alpha, 1))
-    return kept_direction(_direction(pair, alpha, mu), pair.k[0])
+    return kept_direction(_direction(pair, alpha, mu), of_all(pair))
 
 
 def other_starts() -> list[Start]:
@@ -79,7 +79,8 @@ def _best_numbers(pair: CanonicalPair) -> Components:
         ]
         numbers.append(number)
     # One number, because a loop has one result.
-    return _digits(kept_from(numbers[0] + 8 * numbers[1] + 64 * numbers[2], pair.k[0]))
+    number = numbers[0] + 8 * numbers[1] + 64 * numbers[2]
+    return _digits(kept_from(number, of_all(pair)))
 
 
 def _direction(pair: CanonicalPair, alpha: Scalars, mu: Scalars) -> Components:
