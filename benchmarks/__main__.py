@@ -77,6 +77,7 @@ SUITE = {
 """What `python -m benchmarks` runs, in this order."""
 
 MORE = {
+    "growth": Part("the cost of a pair by the batch, on one core"),
     "verdicts": Part("how near to touching a verdict can be wrong", (), False),
     "certificates": Part("whether certificates prove their verdicts"),
     "distances": Part("distances and depths beside MuJoCo C, and the least depth"),

@@ -205,12 +205,12 @@ def _rates(
 
 
 def measure_growth(
-    largest: int, repeats: int, tick: Callable[[], Any]
+    sizes: Sequence[int], repeats: int, tick: Callable[[], Any]
 ) -> list[dict[str, Any]]:
-    """Times some settings on 1, 10, 100... float32 pairs, a call at a time."""
-    pool = scenes.random(min(largest, TILE)).astype(np.float32)
+    """Times some settings on so many float32 pairs each, a call at a time."""
+    pool = scenes.random(min(max(sizes), TILE)).astype(np.float32)
     points = []
-    for n in _powers_of_ten(largest):
+    for n in sizes:
         bodies = scenes.Scene(*(np.resize(x, (n, *x.shape[1:])) for x in pool)).bodies()
         tasks = {s.name: _growth_task(s, bodies) for s in GROWN}
         times, _, others = timing.interleaved(tasks, repeats)
@@ -277,7 +277,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         bar = progress.add_task("growth", total=len(_powers_of_ten(options.largest)))
         numbers["growth"] = measure_growth(
-            options.largest, options.repeats, lambda: progress.advance(bar)
+            _powers_of_ten(options.largest),
+            options.repeats,
+            lambda: progress.advance(bar),
         )
     report.write(options, throughput_report.text(numbers), numbers)
     if options.figure:

@@ -15,7 +15,9 @@ from benchmarks import (
     distances,
     frontier,
     frontier_report,
+    growth,
     limit,
+    machine,
     report,
     scenes,
     settings,
@@ -260,3 +262,22 @@ def test_a_look_is_no_result(capsys):
     with pytest.raises(SystemExit):
         suite.parse(["throughputs"])
     assert "no such part: throughputs" in capsys.readouterr().err
+
+
+def test_growth_compares_the_cost_of_a_pair():
+    def point(pairs, nanoseconds):
+        seconds = {"median": pairs * nanoseconds * 1e-9}
+        return {
+            "pairs": pairs,
+            "setting": "overlap",
+            "seconds": seconds,
+            "cores_busy_with_others": 0.1,
+        }
+
+    points = [point(n, c) for n, c in zip(growth.SIZES, (11, 9, 10, 13), strict=True)]
+    costs = growth.costs_of("overlap", points)
+    assert costs[10**4] == pytest.approx(11)
+    assert growth.furthest(costs) == pytest.approx(0.3)
+    text = growth.text({"machine": machine.describe(), "passes": {"kept": points}})
+    assert "30 %" in text
+    assert "| no" in text.replace("  ", " ")
