@@ -1,0 +1,205 @@
+"""The methods that `benchmarks.placement` compares.
+
+Each is prepared for a problem (compiled, built), then run with a watch until that
+raises `Finished`. One that stalls goes on from the next of the problem's starts.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import optax
+from fruit import MARGIN, loss
+from scipy import optimize
+
+import jaxbe
+from benchmarks import placement_mujoco as mj
+from benchmarks.placement_tasks import Instance, Pose, Problem, Watch
+
+ITERATIONS = 400
+"""From one start, of methods with a gradient."""
+
+BLOCK = 20
+"""Iterations between looks at what Adam has reached."""
+
+RATE = 0.03
+"""Of Adam at first, as in examples/2_packing.py; the best of 0.003 to 0.03 for both."""
+
+AT_ONCE = 64
+"""Starts in one vmap, as in examples/2_packing.py."""
+
+Run = Callable[[Watch], None]
+
+
+def scaled_distance_less_one(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
+    """Its gradient vanishes where the ellipsoid's centre is in the box."""
+    return jaxbe.scaled_distance(box, ellipsoid) - 1
+
+
+class Adam(NamedTuple):
+    """The first memory of poses (S, N), and a block of iterations."""
+
+    begin: Any
+    block: Any
+
+
+@functools.cache
+def adam_of(room: Callable[..., jax.Array], wanted: float) -> Adam:
+    """Compiled once a shape; losses come in units of one margin missing whole."""
+    optimiser = optax.adam(optax.cosine_decay_schedule(RATE, ITERATIONS))
+
+    def missing(pose: Pose, task: Instance) -> jax.Array:
+        return loss(pose, task, wanted, room) / wanted**2
+
+    def step(task: Instance, carry: Any, _: None) -> Any:
+        pose, memory = carry
+        change, memory = optimiser.update(jax.grad(missing)(pose, task), memory)
+        return (optax.apply_updates(pose, change), memory), None
+
+    def block(pose: Pose, memory: Any, task: Instance) -> Any:
+        many = functools.partial(step, task)
+        (pose, memory), _ = jax.lax.scan(many, (pose, memory), length=BLOCK)
+        return pose, memory, missing(pose, task)
+
+    begin = jax.jit(jax.vmap(optimiser.init))
+    return Adam(begin, jax.jit(jax.vmap(block, in_axes=(0, 0, None))))
+
+
+def by_gradient(problem: Problem, room: Any, at_once: int) -> Run:
+    """Adam on the loss of the examples."""
+    task, adam = jax.device_put(problem.task), adam_of(room, problem.wanted)
+
+    def part(first: int) -> Pose:
+        chosen = slice(first, first + at_once)
+        return jax.tree.map(lambda x: jax.device_put(x[chosen]), problem.starts)
+
+    def run(watch: Watch) -> None:
+        for watch.start in range(0, len(problem.starts[0]), at_once):
+            pose = part(watch.start)
+            memory = adam.begin(pose)
+            for _ in range(ITERATIONS // BLOCK):
+                pose, memory, losses = adam.block(pose, memory, task)
+                _show_best(watch, np.asarray(losses), pose)
+
+    # To compile is to prepare.
+    jax.block_until_ready(adam.block(part(0), adam.begin(part(0)), task))
+    return run
+
+
+def _show_best(watch: Watch, losses: np.ndarray, pose: Pose) -> None:
+    best = int(np.argmin(losses))
+    pick = lambda: jax.tree.map(lambda x: np.asarray(x)[best], pose)  # noqa: E731
+    watch.show(float(losses[best]), pick)
+
+
+def by_differences(problem: Problem, minimise: Callable[..., None]) -> Run:
+    """Finite differences of MuJoCo's distances."""
+    differences = mj.Differences(problem)
+    shape = len(problem.task.semi_axes), mj.VARIABLES
+
+    def run(watch: Watch) -> None:
+        for watch.start in range(len(problem.starts[0])):
+            moves = mj.Moves(problem, watch.start)
+
+            def value_and_slope(x: np.ndarray, moves: Any = moves) -> Any:
+                x = x.reshape(shape)
+                value, slope = differences(moves, x)
+                watch.show(value, lambda: moves.pose(x))
+                return value, slope.ravel()
+
+            minimise(value_and_slope, np.zeros(np.prod(shape)))
+
+    return run
+
+
+def lbfgs(value_and_slope: Callable[..., Any], x: np.ndarray) -> None:
+    """SciPy's, as it comes but for the number of iterations."""
+    options = {"maxiter": ITERATIONS}
+    optimize.minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options)
+
+
+def adam(value_and_slope: Callable[..., Any], x: np.ndarray) -> None:
+    """As for jaxbe, in NumPy."""
+    mean, square, decay = np.zeros_like(x), np.zeros_like(x), (0.9, 0.999)
+    for i in range(ITERATIONS):
+        _, slope = value_and_slope(x)
+        mean = decay[0] * mean + (1 - decay[0]) * slope
+        square = decay[1] * square + (1 - decay[1]) * slope**2
+        m, s = (
+            v / (1 - d ** (i + 1)) for v, d in zip((mean, square), decay, strict=True)
+        )
+        rate = RATE * (1 + np.cos(np.pi * i / ITERATIONS)) / 2
+        x = x - rate * m / (np.sqrt(s) + 1e-8)
+
+
+def by_cma(problem: Problem) -> Run:
+    """CMA-ES on the loss by MuJoCo, a population in one call."""
+    shape = len(problem.task.semi_axes), mj.VARIABLES
+    begin = functools.partial(cma_strategy, int(np.prod(shape)), problem.sigma)
+    losses = mj.Loss(problem, begin().popsize)
+
+    def run(watch: Watch) -> None:
+        for watch.start in range(len(problem.starts[0])):
+            moves = mj.Moves(problem, watch.start)
+            strategy = begin()
+            while not strategy.stop():
+                asked = strategy.ask()
+                poses = moves.pose(np.reshape(asked, (-1, *shape)))
+                found = losses(poses)
+                strategy.tell(asked, found)
+                _show_best(watch, found, poses)
+
+    return run
+
+
+def cma_strategy(variables: int, sigma: float) -> Any:
+    """At zero, with a population of the usual size."""
+    options = {
+        "verbose": -9,
+        "seed": 1,
+        "maxiter": np.inf,
+        # With many variables a whole covariance learns too slowly, and costs more.
+        "CMA_diagonal": variables > 50,
+    }
+    strategy = importlib.import_module("cma").CMAEvolutionStrategy
+    return strategy(np.zeros(variables), sigma, options)
+
+
+class Method(NamedTuple):
+    """What is compared.
+
+    Attributes:
+        prepare: compiles or builds, for a problem.
+        package: what is missing where it cannot be imported.
+        slow: whether it gets fewer instances.
+    """
+
+    prepare: Callable[[Problem], Run]
+    package: str = "jaxbe"
+    slow: bool = False
+
+
+OURS = "jaxbe, Adam"
+"""What the others are compared with."""
+
+METHODS = {
+    OURS: Method(functools.partial(by_gradient, room=MARGIN, at_once=1)),
+    f"jaxbe, Adam, {AT_ONCE} starts at once": Method(
+        functools.partial(by_gradient, room=MARGIN, at_once=AT_ONCE)
+    ),
+    "sqrt(q) - 1, Adam": Method(
+        functools.partial(by_gradient, room=scaled_distance_less_one, at_once=1)
+    ),
+    "MuJoCo, differences, L-BFGS-B": Method(
+        functools.partial(by_differences, minimise=lbfgs), "scipy"
+    ),
+    "MuJoCo, differences, Adam": Method(
+        functools.partial(by_differences, minimise=adam), "mujoco"
+    ),
+    "MuJoCo, CMA-ES": Method(by_cma, "cma", slow=True),
+}
