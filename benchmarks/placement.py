@@ -25,6 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from benchmarks import (
@@ -35,7 +36,7 @@ from benchmarks import (
     placement_tasks,
     report,
 )
-from benchmarks.placement_methods import METHODS, Method
+from benchmarks.placement_methods import METHODS, ROOMS, Method, by_gradient
 from benchmarks.placement_tasks import Problem
 
 SEED = 7
@@ -55,6 +56,10 @@ class Kind(NamedTuple):
     make: Callable[[np.random.Generator, int], Problem]
     instances: int
     slow_instances: int
+
+
+RATES = (0.003, 0.01, 0.03, 0.1)
+"""Of Adam, tried on the shelf."""
 
 
 def crate(fruit: int, fails_at: float) -> Callable[..., Problem]:
@@ -107,12 +112,17 @@ def versions(methods: Mapping[str, Method]) -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in sorted(used - {"jaxbe"})}
 
 
+def problems_of(kind: Kind) -> list[Problem]:
+    """All instances."""
+    rng = np.random.default_rng(SEED)
+    return [kind.make(rng, STARTS) for _ in range(kind.instances)]
+
+
 def judged(
     kind: Kind, methods: Mapping[str, Method], budget: float, tick: Callable[[], Any]
 ) -> dict[str, Any]:
     """All methods on all instances of a task, in turn."""
-    rng = np.random.default_rng(SEED)
-    problems = [kind.make(rng, STARTS) for _ in range(kind.instances)]
+    problems = problems_of(kind)
     first = problems[0]
     judge = placement_tasks.warm_up(first)
     runs: dict[str, Any] = {name: [] for name in methods}
@@ -133,6 +143,19 @@ def judged(
     }
 
 
+def first_starts(problems: Sequence[Problem], rate: float) -> dict[str, Any]:
+    """Which instances Adam solves at a rate from the first start alone."""
+    found: dict[str, Any] = {"rate": rate}
+    alone = [
+        p._replace(starts=jax.tree.map(lambda x: x[:1], p.starts)) for p in problems
+    ]
+    for name, room in ROOMS.items():
+        method = Method(functools.partial(by_gradient, room=room, rate=rate))
+        runs = [solved(method, problem, np.inf) for problem in alone]
+        found[name] = [run["solved_after"] is not None for run in runs]
+    return found
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All tasks, with a progress bar."""
     failures: dict[str, str] = {}
@@ -150,6 +173,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             bar = progress.add_task(name, total=kind.instances)
             tick = functools.partial(progress.advance, bar)
             numbers["tasks"][name] = judged(kind, methods, options.budget, tick)
+        bar = progress.add_task("rates", total=len(RATES))
+        problems, numbers["rates"] = problems_of(kinds["shelf"]), []
+        for rate in RATES:
+            numbers["rates"].append(first_starts(problems, rate))
+            progress.advance(bar)
     return numbers | {"cores_busy_with_others": load.cores()}
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from fruit import MARGIN, loss
@@ -42,7 +43,7 @@ def scaled_distance_less_one(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.
 
 
 class Adam(NamedTuple):
-    """The first memory of poses (S, N), and a block of iterations."""
+    """The first memory of poses (S, N), and a block of iterations at a rate."""
 
     begin: Any
     block: Any
@@ -51,28 +52,35 @@ class Adam(NamedTuple):
 @functools.cache
 def adam_of(room: Callable[..., jax.Array], wanted: float) -> Adam:
     """Compiled once a shape; losses come in units of one margin missing whole."""
-    optimiser = optax.adam(optax.cosine_decay_schedule(RATE, ITERATIONS))
+    decay = optax.cosine_decay_schedule(-1.0, ITERATIONS)
+    optimiser = optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(decay))
 
     def missing(pose: Pose, task: Instance) -> jax.Array:
         return loss(pose, task, wanted, room) / wanted**2
 
-    def step(task: Instance, carry: Any, _: None) -> Any:
-        pose, memory = carry
-        change, memory = optimiser.update(jax.grad(missing)(pose, task), memory)
-        return (optax.apply_updates(pose, change), memory), None
+    def step(task: Instance, rate: jax.Array, carry: Any, _: None) -> Any:
+        pose, memory, *_ = carry
+        value, slope = jax.value_and_grad(missing)(pose, task)
+        change, memory = optimiser.update(slope, memory)
+        change = jax.tree.map(lambda x: rate * x, change)
+        return (optax.apply_updates(pose, change), memory, pose, value), None
 
-    def block(pose: Pose, memory: Any, task: Instance) -> Any:
-        many = functools.partial(step, task)
-        (pose, memory), _ = jax.lax.scan(many, (pose, memory), length=BLOCK)
-        return pose, memory, missing(pose, task)
+    def block(pose: Pose, memory: Any, task: Instance, rate: jax.Array) -> Any:
+        """The poses and memory to go on from; the poses before these, their losses."""
+        begin = pose, memory, pose, jnp.zeros((), pose.position.dtype)
+        some = functools.partial(step, task, rate)
+        return jax.lax.scan(some, begin, length=BLOCK)[0]
 
     begin = jax.jit(jax.vmap(optimiser.init))
-    return Adam(begin, jax.jit(jax.vmap(block, in_axes=(0, 0, None))))
+    return Adam(begin, jax.jit(jax.vmap(block, in_axes=(0, 0, None, None))))
 
 
-def by_gradient(problem: Problem, room: Any, at_once: int) -> Run:
+def by_gradient(
+    problem: Problem, room: Any, at_once: int = 1, rate: float = RATE
+) -> Run:
     """Adam on the loss of the examples."""
     task, adam = jax.device_put(problem.task), adam_of(room, problem.wanted)
+    fixed = task, jnp.asarray(rate, jnp.float32)
 
     def part(first: int) -> Pose:
         chosen = slice(first, first + at_once)
@@ -83,11 +91,11 @@ def by_gradient(problem: Problem, room: Any, at_once: int) -> Run:
             pose = part(watch.start)
             memory = adam.begin(pose)
             for _ in range(ITERATIONS // BLOCK):
-                pose, memory, losses = adam.block(pose, memory, task)
-                _show_best(watch, np.asarray(losses), pose)
+                pose, memory, before, losses = adam.block(pose, memory, *fixed)
+                _show_best(watch, np.asarray(losses), before)
 
     # To compile is to prepare.
-    jax.block_until_ready(adam.block(part(0), adam.begin(part(0)), task))
+    jax.block_until_ready(adam.block(part(0), adam.begin(part(0)), *fixed))
     return run
 
 
@@ -170,6 +178,9 @@ def cma_strategy(variables: int, sigma: float) -> Any:
     return strategy(np.zeros(variables), sigma, options)
 
 
+ROOMS = {"margin": MARGIN, "sqrt(q) - 1": scaled_distance_less_one}
+
+
 class Method(NamedTuple):
     """What is compared.
 
@@ -188,12 +199,12 @@ OURS = "jaxbe, Adam"
 """What the others are compared with."""
 
 METHODS = {
-    OURS: Method(functools.partial(by_gradient, room=MARGIN, at_once=1)),
+    OURS: Method(functools.partial(by_gradient, room=MARGIN)),
     f"jaxbe, Adam, {AT_ONCE} starts at once": Method(
         functools.partial(by_gradient, room=MARGIN, at_once=AT_ONCE)
     ),
     "sqrt(q) - 1, Adam": Method(
-        functools.partial(by_gradient, room=scaled_distance_less_one, at_once=1)
+        functools.partial(by_gradient, room=scaled_distance_less_one)
     ),
     "MuJoCo, differences, L-BFGS-B": Method(
         functools.partial(by_differences, minimise=lbfgs), "scipy"

@@ -39,20 +39,45 @@ def text(numbers: Mapping[str, Any]) -> str:
     ]
     for name, task in numbers["tasks"].items():
         parts += [f"## {name}", setting(task), table(task, budget)]
+    deep = numbers["tasks"]["shelf"]["deep"]
+    parts += ["## Shelf, from the first start alone", RATES, rates(numbers, deep)]
     return "\n\n".join([*parts, report.machine_lines(numbers["machine"])])
 
 
 EXPLANATION = (
     "Solved: instances proved within the time, of those run; from the first start: "
-    "without going on from another random pose, in brackets those with an ellipsoid's "
-    "centre in a box. Clearance: the smallest signed distance at the end, by MuJoCo, "
-    "median and least. Time to success: median of all instances, the proofs included, "
-    "and the slowest; times: how many times that of the margin's gradient from one "
-    "start, by the medians on the same instances. Prepared in: compilation by XLA, "
-    "once for all instances of a size, or building MuJoCo's model, once an instance. "
-    "First success: both together, as for one instance alone. The test of success is "
-    "compiled before all."
+    "without going on from another random pose (or another batch of them), in brackets "
+    "those with an ellipsoid's centre in a box. Clearance: the smallest signed "
+    "distance at the end, by MuJoCo, median and least. Time to success: median of all "
+    "instances, the proofs included, and the slowest; times: how many times that of "
+    "the margin's gradient from one start, by the medians on the same instances. "
+    "Prepared in: compilation by XLA, once for all instances of a size, or building "
+    "MuJoCo's model, once an instance. First success: both together, as for one "
+    "instance alone. The test of success is compiled before all."
 )
+
+RATES = (
+    "Instances that Adam solves by its rate: in all, and those with the melon's centre "
+    "in a box. There the gradient of sqrt(q) - 1 vanishes: what moves the melon is its "
+    "neighbours, and fast steps carry it on."
+)
+
+
+def rates(numbers: Mapping[str, Any], deep: Sequence[bool]) -> str:
+    """A row a rate."""
+    names = [name for name in numbers["rates"][0] if name != "rate"]
+    rows = []
+    for measured in numbers["rates"]:
+        cells = [f"{measured['rate']:g}"]
+        for name in names:
+            among = [
+                ok for ok, is_deep in zip(measured[name], deep, strict=True) if is_deep
+            ]
+            cells += [f"{sum(measured[name])} of {len(deep)}"]
+            cells += [f"{sum(among)} of {len(among)}"]
+        rows.append(cells)
+    columns = [f"{name}{more}" for name in names for more in ("", ", centre in a box")]
+    return report.table(["rate", *columns], rows)
 
 
 def setting(task: Mapping[str, Any]) -> str:
