@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -28,13 +29,13 @@ ITERATIONS = 400
 BLOCK = 20
 """Iterations between looks at what Adam has reached."""
 
-RATE = 0.03
-"""Of Adam at first, as in examples/2_packing.py; the best of 0.003 to 0.03 for both."""
-
 AT_ONCE = 64
 """Starts in one vmap, as in examples/2_packing.py."""
 
 Run = Callable[[Watch], None]
+
+Minimise = Callable[[Any, np.ndarray, float], None]
+"""Of a function that gives value and slope, from x, with a rate if it needs one."""
 
 
 def scaled_distance_less_one(box: jaxbe.Box, ellipsoid: jaxbe.Ellipsoid) -> jax.Array:
@@ -76,11 +77,11 @@ def adam_of(room: Callable[..., jax.Array], wanted: float) -> Adam:
 
 
 def by_gradient(
-    problem: Problem, room: Any, at_once: int = 1, rate: float = RATE
+    problem: Problem, room: Any, at_once: int = 1, rate: float | None = None
 ) -> Run:
-    """Adam on the loss of the examples."""
+    """Adam on the loss of the examples, at the problem's rate if none is given."""
     task, adam = jax.device_put(problem.task), adam_of(room, problem.wanted)
-    fixed = task, jnp.asarray(rate, jnp.float32)
+    fixed = task, jnp.asarray(rate or problem.rate, jnp.float32)
 
     def part(first: int) -> Pose:
         chosen = slice(first, first + at_once)
@@ -105,7 +106,48 @@ def _show_best(watch: Watch, losses: np.ndarray, pose: Pose) -> None:
     watch.show(float(losses[best]), pick)
 
 
-def by_differences(problem: Problem, minimise: Callable[..., None]) -> Run:
+def by_minimiser(problem: Problem, room: Any, minimise: Minimise) -> Run:
+    """The same loss and gradient for a minimiser in Python."""
+    task, n = jax.device_put(problem.task), len(problem.task.semi_axes)
+    unit = np.float32([1] * 3 + [1 / mj.radius(problem.task)] * 4)
+    program = value_and_slope_of(room, problem.wanted)
+
+    def run(watch: Watch) -> None:
+        for watch.start in range(len(problem.starts[0])):
+            pose = jax.tree.map(lambda x: x[watch.start], problem.starts)
+
+            def value_and_slope(x: np.ndarray) -> Any:
+                rows = np.float32(x.reshape(n, -1)) * unit
+                value, slope = program(rows, task)
+                watch.show(float(value), lambda: Pose(rows[:, :3], rows[:, 3:]))
+                return float(value), np.float64(slope * unit).ravel()
+
+            minimise(value_and_slope, (rows_of(pose) / unit).ravel(), problem.rate)
+
+    jax.block_until_ready(
+        program(rows_of(jax.tree.map(lambda x: x[0], problem.starts)), task)
+    )
+    return run
+
+
+def rows_of(pose: Pose) -> np.ndarray:
+    """Positions and quaternions (N, 7) of length one."""
+    position, quaternion = pose
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.concatenate([position, quaternion / length], axis=-1)
+
+
+@functools.cache
+def value_and_slope_of(room: Callable[..., jax.Array], wanted: float) -> Any:
+    """Of poses as rows (N, 7); compiled once a shape."""
+
+    def missing(rows: jax.Array, task: Instance) -> jax.Array:
+        return loss(Pose(rows[:, :3], rows[:, 3:]), task, wanted, room) / wanted**2
+
+    return jax.jit(jax.value_and_grad(missing))
+
+
+def by_differences(problem: Problem, minimise: Minimise) -> Run:
     """Finite differences of MuJoCo's distances."""
     differences = mj.Differences(problem)
     shape = len(problem.task.semi_axes), mj.VARIABLES
@@ -120,18 +162,18 @@ def by_differences(problem: Problem, minimise: Callable[..., None]) -> Run:
                 watch.show(value, lambda: moves.pose(x))
                 return value, slope.ravel()
 
-            minimise(value_and_slope, np.zeros(np.prod(shape)))
+            minimise(value_and_slope, np.zeros(np.prod(shape)), problem.rate)
 
     return run
 
 
-def lbfgs(value_and_slope: Callable[..., Any], x: np.ndarray) -> None:
-    """SciPy's, as it comes but for the number of iterations."""
-    options = {"maxiter": ITERATIONS}
+def lbfgs(value_and_slope: Any, x: np.ndarray, rate: float) -> None:
+    """SciPy's; the tolerance is the best of 1e-9 to 1e-2: it notices soon if stuck."""
+    options = {"maxiter": ITERATIONS, "ftol": 1e-3}
     optimize.minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options)
 
 
-def adam(value_and_slope: Callable[..., Any], x: np.ndarray) -> None:
+def adam(value_and_slope: Any, x: np.ndarray, rate: float) -> None:
     """As for jaxbe, in NumPy."""
     mean, square, decay = np.zeros_like(x), np.zeros_like(x), (0.9, 0.999)
     for i in range(ITERATIONS):
@@ -141,8 +183,8 @@ def adam(value_and_slope: Callable[..., Any], x: np.ndarray) -> None:
         m, s = (
             v / (1 - d ** (i + 1)) for v, d in zip((mean, square), decay, strict=True)
         )
-        rate = RATE * (1 + np.cos(np.pi * i / ITERATIONS)) / 2
-        x = x - rate * m / (np.sqrt(s) + 1e-8)
+        decayed = rate * (1 + np.cos(np.pi * i / ITERATIONS)) / 2
+        x = x - decayed * m / (np.sqrt(s) + 1e-8)
 
 
 def by_cma(problem: Problem) -> Run:
@@ -166,15 +208,16 @@ def by_cma(problem: Problem) -> Run:
 
 
 def cma_strategy(variables: int, sigma: float) -> Any:
-    """At zero, with a population of the usual size."""
-    options = {
-        "verbose": -9,
-        "seed": 1,
-        "maxiter": np.inf,
-        # With many variables a whole covariance learns too slowly, and costs more.
-        "CMA_diagonal": variables > 50,
-    }
+    """At zero, with the best of the options tried."""
+    options: dict[str, Any] = {"verbose": -9, "seed": 1, "tolfun": 1e-2}
+    # Success takes some hundred generations; what takes many more is stuck.
+    options["maxiter"] = 500 + 3 * variables
+    if variables > 50:
+        # A whole covariance learns too slowly, and costs more.
+        options |= {"CMA_diagonal": True, "popsize": 12}
     strategy = importlib.import_module("cma").CMAEvolutionStrategy
+    # It warns of axes that grow where the loss is flat, every generation.
+    warnings.filterwarnings("ignore", "elements of z2", UserWarning)
     return strategy(np.zeros(variables), sigma, options)
 
 
@@ -200,6 +243,9 @@ OURS = "jaxbe, Adam"
 
 METHODS = {
     OURS: Method(functools.partial(by_gradient, room=MARGIN)),
+    "jaxbe, L-BFGS-B": Method(
+        functools.partial(by_minimiser, room=MARGIN, minimise=lbfgs), "scipy"
+    ),
     f"jaxbe, Adam, {AT_ONCE} starts at once": Method(
         functools.partial(by_gradient, room=MARGIN, at_once=AT_ONCE)
     ),

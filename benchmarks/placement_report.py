@@ -16,6 +16,7 @@ STYLES = {
     OURS: ("#0072B2", "-"),
     f"{OURS}, {AT_ONCE} starts at once": ("#56B4E9", "-"),
     "sqrt(q) - 1, Adam": ("#CC79A7", "--"),
+    "jaxbe, L-BFGS-B": ("#009E73", "-"),
     "MuJoCo, differences, L-BFGS-B": ("#D55E00", "-"),
     "MuJoCo, differences, Adam": ("#E69F00", "-"),
     "MuJoCo, CMA-ES": ("#000000", "-"),

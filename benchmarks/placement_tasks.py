@@ -45,13 +45,15 @@ class Problem(NamedTuple):
         task: the boxes, ellipsoids (N,) and container.
         starts: poses (S, N); methods take them in this order.
         wanted: the margin aimed at.
-        sigma: of CMA-ES at first, metres; the best of those tried.
+        rate: of Adam at first, the best of those tried, for both gradients.
+        sigma: of CMA-ES at first, metres, likewise.
         deep: whether the centre of an ellipsoid of the first start is in a box.
     """
 
     task: Instance
     starts: Pose
     wanted: float
+    rate: float
     sigma: float
     deep: bool
 
@@ -76,14 +78,14 @@ def shelf(rng: np.random.Generator, starts: int) -> Problem:
         inside = axes[parcel] @ (rng.uniform(-0.9, 0.9, 3) * half_extents[parcel])
         position[0] = center[parcel] - SHELF_CENTER + inside
     pose = Pose(np.float32(position), np.float32(rng.normal(size=(starts, 1, 4))))
-    return Problem(task, pose, push_out.WANTED, 0.1, in_a_box(task, pose))
+    return Problem(task, pose, push_out.WANTED, 0.1, 0.1, in_a_box(task, pose))
 
 
 def crate(rng: np.random.Generator, starts: int, fruit: int, density: float) -> Problem:
     """Fruit anywhere in the crate."""
     task = instance(rng, fruit, density)
     pose = random_poses(rng, (starts, fruit))
-    return Problem(task, pose, packing.WANTED, 0.03, in_a_box(task, pose))
+    return Problem(task, pose, packing.WANTED, 0.03, 0.03, in_a_box(task, pose))
 
 
 def in_a_box(task: Instance, pose: Pose) -> bool:
