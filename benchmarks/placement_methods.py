@@ -167,10 +167,35 @@ def by_differences(problem: Problem, minimise: Minimise) -> Run:
     return run
 
 
+def by_scipy_alone(problem: Problem) -> Run:
+    """L-BFGS-B told nothing but MuJoCo's loss: it differs all numbers by itself."""
+    losses, shape = mj.Loss(problem), (1, len(problem.task.semi_axes), mj.VARIABLES)
+    options = LBFGS_OPTIONS | {"maxfun": 10**9, "eps": mj.STEP}
+
+    def run(watch: Watch) -> None:
+        for watch.start in range(len(problem.starts[0])):
+            moves = mj.Moves(problem, watch.start)
+
+            def value(x: np.ndarray, moves: Any = moves) -> float:
+                pose = moves.pose(x.reshape(shape))
+                found = losses(pose)
+                _show_best(watch, found, pose)
+                return float(found[0])
+
+            start = np.zeros(np.prod(shape))
+            optimize.minimize(value, start, method="L-BFGS-B", options=options)
+
+    return run
+
+
+LBFGS_OPTIONS = {"maxiter": ITERATIONS, "ftol": 1e-3}
+"""The tolerance is the best of 1e-9 to 1e-2: it notices soon if stuck."""
+
+
 def lbfgs(value_and_slope: Any, x: np.ndarray, rate: float) -> None:
-    """SciPy's; the tolerance is the best of 1e-9 to 1e-2: it notices soon if stuck."""
-    options = {"maxiter": ITERATIONS, "ftol": 1e-3}
-    optimize.minimize(value_and_slope, x, jac=True, method="L-BFGS-B", options=options)
+    """SciPy's."""
+    options: Any = {"method": "L-BFGS-B", "options": LBFGS_OPTIONS}
+    optimize.minimize(value_and_slope, x, jac=True, **options)
 
 
 def adam(value_and_slope: Any, x: np.ndarray, rate: float) -> None:
@@ -258,5 +283,6 @@ METHODS = {
     "MuJoCo, differences, Adam": Method(
         functools.partial(by_differences, minimise=adam), "mujoco"
     ),
+    "MuJoCo, SciPy's differences, L-BFGS-B": Method(by_scipy_alone, "scipy", slow=True),
     "MuJoCo, CMA-ES": Method(by_cma, "cma", slow=True),
 }
