@@ -70,8 +70,8 @@ def crate(fruit: int, fails_at: float) -> Callable[..., Problem]:
 
 KINDS = {
     "shelf": Kind(placement_tasks.shelf, 100, 100),
-    "20 fruit": Kind(crate(20, fails_at=0.42), 50, 10),
-    "60 fruit": Kind(crate(60, fails_at=0.50), 20, 5),
+    "20 fruit": Kind(crate(20, fails_at=0.42), 50, 50),
+    "60 fruit": Kind(crate(60, fails_at=0.50), 20, 10),
 }
 """Where packing begins to fail is what examples/2_packing.py --measure says."""
 
