@@ -92,6 +92,10 @@ MORE = {
     "one_sided": Part("pairs that a filter by the margin drops", (), False),
     "contact_speed": Part("contacts beside MuJoCo C", (), False),
     "filter": Part("the filter of MJX's contacts", (), False),
+    "placement": Part(
+        "placing by the margin's gradient, and by what else there is",
+        ("--figure", "{placement}.png"),
+    ),
 }
 """More parts, run if named."""
 

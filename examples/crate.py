@@ -19,10 +19,11 @@ CRATE = np.float32([0.5, 0.4, 0.3])
 
 
 class Instance(NamedTuple):
-    """A crate's obstacles, boxes (M,), and its fruit: semi-axes (N, 3)."""
+    """A crate's obstacles, boxes (M,), its fruit: semi-axes (N, 3), and itself."""
 
     box: jaxbe.Box
     semi_axes: np.ndarray
+    crate: np.ndarray = CRATE
 
 
 def instance(

@@ -8,12 +8,14 @@ support functions s(n) = sqrt(n^T S n), S = R diag(a^2) R^T; any n found proves 
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from crate import CRATE, Instance
+from crate import Instance
 from placing import PROVED, Pose, against, all_separated, ellipsoid_at
 
 import jaxbe
@@ -21,16 +23,26 @@ import jaxbe
 DIRECTION_STEPS = 4
 """Of the search for n: enough for proofs; any number is on the safe side."""
 
+MARGIN = functools.partial(jaxbe.margin, steps=3)
+"""The room to the boxes; `benchmarks.placement` puts others in its place."""
+
 Six = tuple[jax.Array, ...]
 """The entries xx, yy, zz, xy, xz, yz of symmetric matrices."""
 
 
-def loss(pose: Pose, task: Instance, wanted: float) -> jax.Array:
+def loss(
+    pose: Pose,
+    task: Instance,
+    wanted: float,
+    room: Callable[..., jax.Array] = MARGIN,
+) -> jax.Array:
     """What is missing of the margins wanted: a sum over all fruit (N,)."""
     fruit = ellipsoid_at(pose, task.semi_axes)
-    to_boxes = jaxbe.margin(task.box, against(fruit), steps=3)
+    to_boxes = room(task.box, against(fruit))
     S = shape(fruit)
-    to_walls = (CRATE - abs(fruit.center)) / jnp.sqrt(jnp.stack(S[:3], axis=-1)) - 1
+    to_walls = (task.crate - abs(fruit.center)) / jnp.sqrt(
+        jnp.stack(S[:3], axis=-1)
+    ) - 1
     to_others, _ = growth(fruit.center, S)
     missing = [jnp.square(jax.nn.relu(wanted - m)).sum() for m in (to_boxes, to_walls)]
     # Each pair is seen from both ends, and moved from one of them at a time.
@@ -109,7 +121,7 @@ def proved(fruit: jaxbe.Ellipsoid, task: Instance) -> bool:
     """
     K, V, a = (np.asarray(x, np.float64) for x in fruit.fields().values())
     reach = np.linalg.norm(V * a[:, None, :], axis=-1)
-    room = CRATE.astype(np.float64) - abs(K) - reach
+    room = np.asarray(task.crate, np.float64) - abs(K) - reach
     n = np.asarray(directions(fruit), np.float64)
     gap = np.einsum("ijr,ijr->ij", n, K[:, None] - K[None])
     s = np.linalg.norm(np.einsum("ijr,irp,ip->ijp", n, V, a), axis=-1)
