@@ -22,6 +22,7 @@ from benchmarks import (
     scenes,
     settings,
 )
+from jaxbe import plan_errors
 from tests.test_benchmarks_margin import check_picture
 
 FEW = tuple(
@@ -101,7 +102,10 @@ def test_gradients_of_errors_count_lengths_in_units_of_the_longest():
     small = scenes.random(50).astype(np.float64)
     setting = settings.Setting("margin", ("steps", 1), gradients=True)
     values = [
-        accuracy._flat(settings.under_vmap(setting)(*s.bodies())[1], s)
+        plan_errors.flat_gradient(
+            settings.under_vmap(setting)(*s.bodies())[1],
+            plan_errors.longest_length(s.e, s.a),
+        )
         for s in (small, scenes.scaled(small, 1024.0))
     ]
     assert values[0].shape == (50, 30)
