@@ -16,12 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from fruit import MARGIN, loss
 from scipy import optimize
 
 import jaxbe
 from benchmarks import placement_mujoco as mj
-from benchmarks.placement_tasks import Instance, Pose, Problem, Watch
+from benchmarks.placement_tasks import MARGIN, Instance, Pose, Problem, Watch, loss
 
 ITERATIONS = 400
 """From one start, of methods with a gradient."""

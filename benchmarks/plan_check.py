@@ -121,7 +121,8 @@ def measure(
     for name, make in HELD_OUT.items():
         scene = make(pairs, SEED)
         facts = jaxbe.scene_facts(*scene.bodies())
-        bases = dict(zip(BASES, (facts, make(pairs, SEED + 1).bodies()), strict=True))
+        sample = {"scene": facts, "sample": make(pairs, SEED + 1).bodies()}
+        bases = dict(zip(BASES, ({"scene": facts}, sample), strict=True))
         true = {d: accuracy.Truth(scene.astype(d)) for d in settings.DTYPES}
         for question, tolerances in (
             *dict.fromkeys(QUESTIONS, TOLERANCES).items(),
@@ -187,7 +188,8 @@ def _false_keeps(
     }
 
 
-Basis = jaxbe.SceneFacts | tuple[jaxbe.Box, jaxbe.Ellipsoid]
+Basis = dict[str, Any]
+"""Arguments of the plan."""
 
 
 def _compare(
@@ -209,8 +211,7 @@ def _compare(
 
 def planned(question: str, basis: Basis, tolerance: float) -> tuple[str, str]:
     """The setting's name and dtype that the plan has."""
-    known = "scene" if isinstance(basis, jaxbe.SceneFacts) else "sample"
-    options: dict[str, Any] = {known: basis, "tolerance": tolerance}
+    options = basis | {"tolerance": tolerance}
     if question in QUESTIONS:
         function, _, gradients = QUESTIONS[question]
         found = jaxbe.plan(function, share=SHARE, gradients=gradients, **options)

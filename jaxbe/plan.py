@@ -9,6 +9,7 @@ Costs are of one machine; what counts is their order, which steps give everywher
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
@@ -16,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxbe.margin import rounding_slack
-from jaxbe.plan_sample import Sample, least_size
+from jaxbe.plan_sample import Sample
 from jaxbe.plan_table import Measured, frontier, lines
 from jaxbe.scene_facts import SceneFacts
 from jaxbe.shapes import Box, Ellipsoid
@@ -125,9 +126,11 @@ def plan(
             `jaxbe.mjx.scene_facts(pairs, model)`, or a `SceneFacts` by hand. By
             default those of the sample.
         sample: boxes and ellipsoids of the scene in poses of its own, of shapes that
-            broadcast: errors are measured on them then, instead of looked up, and
-            `tolerance` has to be given. At least 4 / (1 - share) pairs, better ten
-            times as many. Settings are compiled for it, which takes seconds to a
+            broadcast: errors are measured on them then, instead of looked up (but for
+            the verdict of "overlap"), and `tolerance` has to be given; where pairs may
+            not be missed, also the `scene`, whose slimmest pair need not be in the
+            sample. At least 4 / (1 - share) pairs that the answer is judged by, better
+            ten times as many. Settings are compiled for it, which takes seconds to a
             minute.
         gradients: whether derivatives of margin and distances are needed as well; then
             the tolerance is for these, relative to the size of the gradient.
@@ -140,8 +143,8 @@ def plan(
             which a verdict may be wrong. Of a filter ("filter_contacts", or where pairs
             may not be missed) the share of separated pairs that may be kept, 0.01 if
             None. None otherwise: within twice of the best there is.
-        share: of the pairs for which the tolerance is meant: 0.99, 0.999 or 1, as
-            far as the table's 100,000 pairs a scene can tell.
+        share: of the pairs for which the tolerance is meant: 0.99, 0.999 or, without a
+            sample, 1, as far as the table's 100,000 pairs a scene can tell.
         never_miss: whether no overlapping pair may be called separated, rounding
             included. "overlap" and "margin" are a filter then, by the margin and
             `drop_above`; ask for the values of margins in a plan of their own.
@@ -160,10 +163,11 @@ def plan(
         ValueError: no or unknown outputs, or another dtype or share; a tolerance that
             no setting reaches, or a spread beyond the table's (of "overlap" there is
             none): the message says what is the least. A sample that is too small, or
-            without a tolerance.
+            without a tolerance, or for a share of 1, which none can tell.
     """
     pairs = _measured(sample, share, tolerance)
-    scene = pairs.facts if pairs and scene is None else scene
+    if pairs and scene is None and not never_miss:
+        scene = pairs.facts
     _check(outputs, scene, dtype, share, tolerance, gradients, never_miss)
     assert scene is not None
     ask = _Ask(scene, pairs, gradients, tolerance, share, never_miss)
@@ -204,13 +208,9 @@ def _measured(sample: Any, share: float, tolerance: float | None) -> Sample | No
         raise TypeError(f"sample must be a tuple (box, ellipsoid), got {given}")
     if tolerance is None:
         raise ValueError("with a sample, a tolerance must be given")
-    found = Sample(*sample)
-    if share in SHARES and found.size < least_size(share):
-        raise ValueError(
-            f"sample must have at least {least_size(share)} pairs to tell a share of "
-            f"{share}, got {found.size}"
-        )
-    return found
+    if share == 1:
+        raise ValueError("a sample cannot tell a share of 1, only 0.99 or 0.999")
+    return Sample(*sample)
 
 
 def _check(
@@ -223,7 +223,8 @@ def _check(
     never_miss: bool,
 ) -> None:
     if not isinstance(scene, SceneFacts):
-        raise TypeError(f"scene must be a SceneFacts, got {type(scene).__name__}")
+        hint = "" if scene is not None else "; a sample alone does, but for never_miss"
+        raise TypeError(f"scene must be a SceneFacts, got {type(scene).__name__}{hint}")
     for name in outputs or ("none",):
         if name not in _QUESTIONS:
             known = ", ".join(_QUESTIONS)
@@ -306,11 +307,14 @@ def _false_keeps(name: str, row: Measured, ask: _Ask) -> float:
 
 
 def _depth_error(chosen: _Row, ask: _Ask) -> float:
-    """Of the depths of overlapping pairs, by a distance's setting."""
+    """Of the depths of overlapping pairs, by a distance's setting; NaN if unknown."""
     keywords = dict(chosen.keywords)
     if ask.sample is not None:
-        steps, share = keywords["steps"], ask.share
-        return ask.sample.error("signed_distance", steps, chosen.dtype, "depth", share)
+        question = keywords["steps"], chosen.dtype, "depth", ask.share
+        try:
+            return ask.sample.error("signed_distance", *question)
+        except ValueError:  # Too few of them.
+            return math.nan
     return next(
         SAFETY * row.error("depth", SHARES[ask.share], ask.scene)
         for row in lines("signed_distance")
@@ -347,9 +351,11 @@ def _promise(name: str, row: _Row, ask: _Ask) -> str:
     what = "gradients" if ask.gradients else "values"
     if name == "margin":
         return f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs"
+    depth = _depth_error(row, ask)
+    known = f"to {depth:.1e}" if depth == depth else "unknown, the sample has too few"
     return (
         f"{what} to {row.error:.1e} in {100 * ask.share:g} % of pairs apart (depths of "
-        f"overlapping ones to {_depth_error(row, ask):.1e})"
+        f"overlapping ones {known})"
     )
 
 
@@ -367,7 +373,7 @@ def _best_there_is(
     }
     best = ", ".join(f"{name} {error:.1e}" for name, error in errors.items())
     where = f"at upper spread {ask.scene.upper_spread:.3g}"
-    if ask.sample:
+    if ask.sample and set(errors) != {"overlap"}:
         where = f"of a sample of {ask.sample.size:,} pairs"
     return (
         f"no setting is sure to keep tolerance {ask.tolerance} {where}; the least that "

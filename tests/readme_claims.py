@@ -185,7 +185,7 @@ def plan(results: dict[str, Any]) -> Claims:
         f"{results['pairs']:,}",
         counts["lengths"][2],
     )
-    yield "then {} of {} plans keep it, and {} cost at most 1.3", *counts["sample"]
+    yield "pairs of those scenes {} of {} plans keep it, and {} cost", *counts["sample"]
 
 
 # Scenes and MJX

@@ -1,5 +1,7 @@
 """`jaxbe.plan`: the cheapest settings that keep a tolerance, and clear refusals."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -253,33 +255,69 @@ def test_the_tolerance_is_kept_on_scenes_not_in_the_table(tolerance):
     assert np.percentile(error, 99.9) <= tolerance
 
 
-EASY = scenes.axis_aligned(scenes.random(8000, seed=3)).astype(np.float32).bodies()
+def aligned(n, seed):
+    return scenes.axis_aligned(scenes.random(n, seed=seed)).astype(np.float32).bodies()
+
+
+EASY = aligned(12_000, 3)
+OTHERS = aligned(12_000, 4)
+"""Of the same scene."""
+
+
+def error_on_others(found, share):
+    margin = np.asarray(jaxbe.margin(*OTHERS, **found.margin), np.float64)
+    wide = jax.tree.map(lambda x: x.astype(np.float64), OTHERS)
+    exact = np.asarray(jaxbe.margin(*wide, steps=10))
+    return np.quantile(plan_errors.margin_error(margin, exact), share)
 
 
 def test_a_sample_tells_what_sizes_cannot():
     """Aligned bodies: the exact margin takes fewer steps than their spread suggests."""
     facts = jaxbe.scene_facts(*EASY)
-    by_sizes = jaxbe.plan("margin", scene=facts, tolerance=1e-3, share=0.99)
-    found = jaxbe.plan("margin", sample=EASY, tolerance=1e-3, share=0.99)
+    by_sizes = jaxbe.plan("margin", scene=facts, tolerance=1e-3)
+    found = jaxbe.plan("margin", sample=EASY, tolerance=1e-3)
     assert found.margin["steps"] < by_sizes.margin["steps"]
-    assert "measured on 8,000" in str(found)
-    margin = np.asarray(jaxbe.margin(*EASY, **found.margin), np.float64)
-    exact = np.asarray(jaxbe.margin(*EASY, steps=10), np.float64)
-    assert np.quantile(plan_errors.margin_error(margin, exact), 0.99) <= 1e-3
+    assert "measured on 12,000" in str(found)
+    assert error_on_others(found, 0.999) <= 1e-3
 
 
-def test_a_sample_of_other_outputs():
-    filtered = jaxbe.plan("overlap", sample=EASY, tolerance=0.05, never_miss=True)
-    assert filtered.drop_above == jaxbe.rounding_slack("float32", filtered_spread())
-    nearest = jaxbe.plan("filter_contacts", sample=EASY, tolerance=0.5)
+def test_a_sample_of_a_filter():
+    facts = jaxbe.scene_facts(*EASY)
+    options = {"sample": EASY, "tolerance": 0.05, "never_miss": True}
+    found = jaxbe.plan("overlap", scene=facts, **options)
+    assert found.drop_above == jaxbe.rounding_slack("float32", facts.spread)
+    kept = ~(np.asarray(jaxbe.margin(*OTHERS, **found.margin)) > found.drop_above)
+    overlaps = np.asarray(jaxbe.overlap(*OTHERS))
+    assert not np.any(overlaps & ~kept)
+    assert np.mean(kept[~overlaps]) <= 0.05
+    # A wider scene than its sample has a larger slack.
+    wide = jaxbe.plan("overlap", scene=jaxbe.SceneFacts(1000), **options)
+    assert wide.drop_above == jaxbe.rounding_slack("float32", 1000)
+    few = jax.tree.map(lambda x: x[:500], EASY)
+    nearest = jaxbe.plan("filter_contacts", sample=few, tolerance=0.5)
     assert set(nearest.filter_contacts) == {"steps"}
-    distance = jaxbe.plan("contact", sample=EASY, tolerance=1e-3, share=0.99)
-    assert "depths of overlapping ones to" in str(distance)
-    assert jaxbe.plan("overlap", sample=EASY, tolerance=1e-3).overlap is not None
 
 
-def filtered_spread():
-    return jaxbe.scene_facts(*EASY).spread
+def test_a_sample_of_contacts():
+    found = jaxbe.plan("contact", sample=EASY, tolerance=1e-3, share=0.99)
+    assert "depths of overlapping ones to" in str(found)
+    box, ellipsoid = OTHERS
+    distance = jaxbe.signed_distance(box, ellipsoid, **found.contact)
+    exact = np.asarray(jaxbe.signed_distance(box, ellipsoid, steps=8), np.float64)
+    longest = plan_errors.longest_length(
+        *(np.asarray(x) for x in (box.half_extents, ellipsoid.semi_axes))
+    )
+    errors = plan_errors.distance_error(distance, exact, longest)[exact > 0]
+    assert np.quantile(errors, 0.99) <= 1e-3
+    apart = np.flatnonzero(exact > 0)[:5000]
+    none_deep = jax.tree.map(lambda x: x[apart], OTHERS)
+    text = str(jaxbe.plan("contact", sample=none_deep, tolerance=1e-3, share=0.99))
+    assert "overlapping ones unknown" in text
+    deep = jax.tree.map(lambda x: x[np.resize(np.flatnonzero(exact < 0), 5000)], OTHERS)
+    with pytest.raises(ValueError, match=r"400 pairs apart to tell .* got 0"):
+        jaxbe.plan("contact", sample=deep, tolerance=1e-3, share=0.99)
+    with pytest.raises(ValueError, match="filter_contacts 1"):
+        jaxbe.plan("filter_contacts", sample=deep, tolerance=0.5)
 
 
 def test_a_sample_of_gradients_in_a_scene_that_broadcasts():
@@ -290,6 +328,24 @@ def test_a_sample_of_gradients_in_a_scene_that_broadcasts():
     found = jaxbe.plan("margin", sample=(one, grid), tolerance=1e-1, **options)
     assert "gradients to" in str(found)
     assert "measured on 800" in str(found)
+    flat = jax.tree.map(lambda x: x[:800], ellipsoid)
+    box = jax.tree.map(lambda x: np.broadcast_to(x[0], (800, *x.shape[2:])), one)
+
+    def gradient(steps):
+        value = functools.partial(jaxbe.margin, steps=steps)
+        return jax.vmap(jax.grad(value, argnums=(0, 1)))(box, flat)
+
+    longest = np.ones(800)
+    exact = plan_errors.flat_gradient(gradient(7), longest)
+    errors = plan_errors.gradient_error(gradient(found.margin["steps"]), exact, longest)
+    assert np.quantile(errors, 0.99) <= 0.2
+
+
+def test_a_sample_may_need_float64():
+    small = jax.tree.map(lambda x: x[:4000], EASY)
+    assert jaxbe.plan("margin", sample=small, tolerance=1e-9).dtype == "float64"
+    with pytest.raises(ValueError, match="of a sample of 4,000 pairs"):
+        jaxbe.plan("margin", sample=small, tolerance=1e-30, dtype="float64")
 
 
 @pytest.mark.parametrize(
@@ -301,12 +357,13 @@ def test_a_sample_of_gradients_in_a_scene_that_broadcasts():
         (
             {"sample": jax.tree.map(lambda x: x[:99], EASY), "tolerance": 1},
             ValueError,
-            r"at least 4000 pairs to tell a share of 0\.999, got 99",
+            r"at least 4,000 pairs to tell a share of 0\.999, got 99",
         ),
+        ({"sample": EASY, "tolerance": 1, "share": 1.0}, ValueError, "a share of 1"),
         (
-            {"sample": EASY, "tolerance": 1e-9, "dtype": "float32"},
-            ValueError,
-            "of a sample of 8,000 pairs; the least that is, in float32: margin",
+            {"sample": EASY, "tolerance": 1, "never_miss": True},
+            TypeError,
+            "a sample alone does, but for never_miss",
         ),
         ({}, TypeError, "scene must be a SceneFacts, got NoneType"),
     ],
@@ -316,11 +373,24 @@ def test_refusals_of_samples(options, error, message):
         jaxbe.plan("margin", **options)
 
 
+def test_a_traced_sample_is_refused():
+    box, ellipsoid = EASY
+
+    def planned(center):
+        moved = jaxbe.Box.unchecked(center, box.axes, box.half_extents)
+        jaxbe.plan("margin", sample=(moved, ellipsoid), tolerance=0.1)
+        return center
+
+    with pytest.raises(TypeError, match="sample must be known"):
+        jax.jit(planned)(box.center)
+
+
 def test_pairs_that_are_not_decided_count_as_wrong():
     center = EASY[0].center.at[:100].set(jnp.nan)
     box = jaxbe.Box.unchecked(center, EASY[0].axes, EASY[0].half_extents)
-    with pytest.raises(ValueError, match="margin inf"):
-        jaxbe.plan("margin", sample=(box, EASY[1]), tolerance=0.5, dtype="float32")
+    for name in ("margin", "signed_distance"):
+        with pytest.raises(ValueError, match=f"{name} inf"):
+            jaxbe.plan(name, sample=(box, EASY[1]), tolerance=0.5, dtype="float32")
 
 
 def test_upper_quantiles_hold_for_the_whole_of_which_a_sample_is_known():
@@ -331,6 +401,6 @@ def test_upper_quantiles_hold_for_the_whole_of_which_a_sample_is_known():
     said = np.array([upper_quantile(e, 0.999) for e in errors])
     assert np.mean(said >= true) > 0.95
     assert np.mean(said) < 1.2 * true
-    assert upper_quantile(np.zeros(0), 0.999) == 0
     counts = rng.binomial(10_000, 1e-3, size=400)
     assert np.mean([upper_share(k, 10_000) >= 1e-3 for k in counts]) > 0.95
+    assert upper_share(0, 0) == upper_share(3, 3) == 1
