@@ -20,7 +20,14 @@ from scipy import optimize
 
 import jaxbe
 from benchmarks import placement_mujoco as mj
-from benchmarks.placement_tasks import MARGIN, Instance, Pose, Problem, Watch, loss
+from benchmarks.placement_tasks import (
+    MARGIN,
+    Instance,
+    Pose,
+    Problem,
+    Watch,
+    loss_of,
+)
 
 ITERATIONS = 400
 """From one start, of methods with a gradient."""
@@ -56,7 +63,7 @@ def adam_of(room: Callable[..., jax.Array], wanted: float) -> Adam:
     optimiser = optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(decay))
 
     def missing(pose: Pose, task: Instance) -> jax.Array:
-        return loss(pose, task, wanted, room) / wanted**2
+        return loss_of(pose, task, wanted, room) / wanted**2
 
     def step(task: Instance, rate: jax.Array, carry: Any, _: None) -> Any:
         pose, memory, *_ = carry
@@ -141,7 +148,7 @@ def value_and_slope_of(room: Callable[..., jax.Array], wanted: float) -> Any:
     """Of poses as rows (N, 7); compiled once a shape."""
 
     def missing(rows: jax.Array, task: Instance) -> jax.Array:
-        return loss(Pose(rows[:, :3], rows[:, 3:]), task, wanted, room) / wanted**2
+        return loss_of(Pose(rows[:, :3], rows[:, 3:]), task, wanted, room) / wanted**2
 
     return jax.jit(jax.value_and_grad(missing))
 

@@ -21,7 +21,8 @@ import jaxbe
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
 from crate import Instance, instance, random_poses
-from fruit import MARGIN, loss, proved  # noqa: F401 (for the methods)
+from fruit import MARGIN, proved  # noqa: F401 (the margin is for the methods)
+from fruit import loss as loss_of  # noqa: F401
 from placing import Pose, all_separated, ellipsoid_at
 
 push_out = importlib.import_module("1_push_out")

@@ -135,7 +135,12 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Result]:
         name: {"left": float(r.distance[-1]), "smallest_margin": float(r.margin[-1])}
         for name, r in results.items()
     }
-    say(options, "{last}", iterations=options.iterations, last=last)
+    words = "; ".join(
+        f"{name} {1000 * r['left']:.0f} mm left, smallest margin "
+        f"{r['smallest_margin']:.2f}"
+        for name, r in last.items()
+    )
+    say(options, words, iterations=options.iterations, last=last)
     return results
 
 
