@@ -78,6 +78,7 @@ SUITE = {
 
 MORE = {
     "growth": Part("the cost of a pair by the batch, on one core"),
+    "limitations": Part("the figures of the README's limitations"),
     "verdicts": Part("how near to touching a verdict can be wrong", (), False),
     "certificates": Part("whether certificates prove their verdicts"),
     "distances": Part("distances and depths beside MuJoCo C, and the least depth"),

@@ -45,6 +45,7 @@ def test_what_is_missed_is_counted():
     assert merged["largest_share_of_slack"] == 2
 
 
+@pytest.mark.slow
 def test_poses_of_mujoco_are_those_of_mjx_to_rounding():
     sample = filter_scenes.arm_states(0, 20, 5)
     truth = filter_scenes.distance(sample.scene())

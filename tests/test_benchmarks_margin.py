@@ -106,6 +106,7 @@ def test_coal_missing_is_said(monkeypatch, one_core):
     assert "coal is not installed" in text
 
 
+@pytest.mark.slow
 def test_speed_writes_programs_and_targets(tmp_path, monkeypatch, capsys, one_core):
     # Neither the allocator of this process nor minutes of compiling.
     monkeypatch.setattr(margin_speed, "keep_freed_memory", lambda: True)

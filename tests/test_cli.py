@@ -758,6 +758,7 @@ def test_the_users_own_setting_of_opengl_is_respected(monkeypatch, setting, expe
     assert picture._backends() == expected
 
 
+@pytest.mark.slow
 def test_a_broken_setting_of_opengl_does_not_stop_the_tests(scene):
     done = subprocess.run(
         [sys.executable, "-m", "jaxbe", scene, *FEW],

@@ -109,6 +109,7 @@ def test_brax_resets_a_hand_that_touches_and_one_that_is_out_of_time(env):
     assert np.array(truncated)[5, 1] == 1
 
 
+@pytest.mark.slow
 def test_the_gradient_improves_the_forces(env):
     optimiser = optax.adam(0.05)
     improve = reach_gradient.improver(env, optimiser)

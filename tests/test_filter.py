@@ -410,6 +410,7 @@ def test_states_of_mjx(model, pairs):
 NO_CONTACTS = '<option><flag contact="disable"/></option><worldbody>'
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("allow_pairs")
 @pytest.mark.parametrize("backend", ["mjx", "generalized", "positional", "spring"])
 def test_states_of_brax(model, pairs, backend):

@@ -201,6 +201,7 @@ def test_batches_of_mjx_states(model, pairs):
     np.testing.assert_allclose(each, expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("allow_pairs")
 def test_bodies_have_the_poses_of_brax(model, pairs):
     pytest.importorskip("brax")
