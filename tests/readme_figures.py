@@ -104,7 +104,7 @@ def main() -> int:
 
 if __name__ == "__main__":
     # Run as a script, this file is another module than the one that claims register in.
-    from tests import readme_claims, readme_speeds  # noqa: F401
+    from tests import readme_claims, readme_placing, readme_speeds  # noqa: F401
     from tests.readme_figures import main as registered
 
     sys.exit(bool(registered()))

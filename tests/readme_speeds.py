@@ -9,7 +9,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from benchmarks import growth, placement_report
+from benchmarks import growth
+from jaxbe import METHODS
 from tests.readme_figures import Claims, of
 from tests.readme_format import About, millions, only, power
 
@@ -279,6 +280,44 @@ def peers(results: dict[str, Any]) -> Claims:
         )
 
 
+@of("limitations")
+def limitations(results: dict[str, Any]) -> Claims:
+    furthest = max(
+        row[method]["furthest"] for row in results["floors"] for method in METHODS
+    )
+    yield "gave wrong verdicts up to {} from touching", f"{furthest:.0e}"
+    yield (
+        "further apart than some {} of the largest semi-axis, too",
+        f"{results['furthest']['signed_distance']:.0e}",
+    )
+    times = results["short_last_axis"]
+    yield (
+        "cost {} (a verdict) to {} times (a distance) as much",
+        *(f"{times[name]:.1f}" for name in ("overlap", "signed_distance")),
+    )
+    *_, below, above = results["expressions"]
+    yield (
+        "eight steps of the margin in one, {} operations, take {} times as long as "
+        "six, {}.",
+        f"{above['operations']:,}",
+        f"{above['nanoseconds'] / below['nanoseconds']:.0f}",
+        f"{below['operations']:,}",
+    )
+
+
+@of("peers")
+def python_takes(results: dict[str, Any]) -> Claims:
+    systems = results["speed"]["systems"]
+    shares = (
+        systems[name]["pairs_per_second"] / systems[name]["spheres_per_second"]
+        for name in ("python-fcl collide", "coal.collide")
+    )
+    yield (
+        "python-fcl and coal are called from Python, which takes {} and {} % of their",
+        *(f"{100 * share:.0f}" for share in shares),
+    )
+
+
 @of("growth")
 def cost_by_batch(results: dict[str, Any]) -> Claims:
     names = (
@@ -298,76 +337,3 @@ def cost_by_batch(results: dict[str, Any]) -> Claims:
         "results by {}, {} ({}) and {} %",
         *changes,
     )
-
-
-PLACED_BY = (
-    "jaxbe, Adam",
-    "sqrt(q) - 1, Adam",
-    "MuJoCo, differences, L-BFGS-B",
-    "MuJoCo, SciPy's differences, L-BFGS-B",
-    "MuJoCo, CMA-ES",
-)
-
-
-@of("placement")
-def placement(results: dict[str, Any]) -> Claims:
-    tasks, budget = results["tasks"], results["budget"]
-    for name in PLACED_BY:
-        rows = [
-            placement_report.row(
-                task["runs"][name], task["deep"], task["runs"][PLACED_BY[0]], budget
-            )
-            for task in tasks.values()
-        ]
-        cells = [row[i] for row in rows for i in (0, 2, 3)]
-        yield f"| {name} | " + " | ".join(["{}"] * len(cells)) + " |", *cells
-    compiled = [
-        run["prepared_in"]
-        for task in tasks.values()
-        for name in task["runs"]
-        if name.startswith(("jaxbe", "sqrt"))
-        for run in task["runs"][name]
-        if run["prepared_in"] > 1
-    ]
-    yield (
-        "(XLA compiles for {} to {} s, once a size)",
-        f"{min(compiled):.0f}",
-        f"{max(compiled):.0f}",
-    )
-    times = {
-        name: [_times_slower(tasks[kind], name) for kind in ("20 fruit", "60 fruit")]
-        for name in PLACED_BY
-    }
-    _, _, differences, *black_boxes = times.values()
-    by_black_box = [x for found in black_boxes for x in found]
-    yield (
-        "by the margin's gradient is {} to {} times as fast as by a black box",
-        f"{min(by_black_box):.0f}",
-        f"{max(by_black_box):.0f}",
-    )
-    yield (
-        "and {} to {} times as fast as by differences that measure again",
-        f"{min(differences):.0f}",
-        f"{max(differences):.0f}",
-    )
-    slow = results["rates"][0]
-    deep = tasks["shelf"]["deep"]
-    freed = [
-        str(sum(ok and inside for ok, inside in zip(slow[room], deep, strict=True)))
-        for room in ("sqrt(q) - 1", "margin")
-    ]
-    yield (
-        "at a rate of {} it frees {} of {} melons from their first start, the margin "
-        "{}.",
-        f"{slow['rate']:g}",
-        freed[0],
-        str(sum(deep)),
-        freed[1],
-    )
-
-
-def _times_slower(task: dict[str, Any], name: str) -> float:
-    """Than by the margin's gradient, on the instances that both had."""
-    runs = task["runs"][name]
-    ours = task["runs"][PLACED_BY[0]][: len(runs)]
-    return placement_report.median_time(runs) / placement_report.median_time(ours)

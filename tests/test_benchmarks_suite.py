@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jaxbe
 from benchmarks import __main__ as suite
 from benchmarks import (
     accuracy,
@@ -17,6 +18,7 @@ from benchmarks import (
     frontier_report,
     growth,
     limit,
+    limitations,
     machine,
     report,
     scenes,
@@ -285,3 +287,17 @@ def test_growth_compares_the_cost_of_a_pair():
     text = growth.text({"machine": machine.describe(), "passes": {"kept": points}})
     assert "30 %" in text
     assert "| no" in text.replace("  ", " ")
+
+
+def test_limitations_in_short(tmp_path, monkeypatch):
+    monkeypatch.setattr(limitations, "EXPRESSIONS", (1, 2))
+    monkeypatch.setattr(limitations, "FUNCTIONS", {"overlap": jaxbe.overlap})
+    monkeypatch.setattr(limitations, "DISTANCES", (jaxbe.margin,))
+    file, text = measured(limitations.main, tmp_path, "--pairs=200", "--repeats=3")
+    numbers = json.loads(file.read_text())
+    assert numbers["furthest"]["margin"] > 1e9
+    assert (
+        numbers["expressions"][0]["operations"]
+        < numbers["expressions"][1]["operations"]
+    )
+    assert "Finite up to" in text

@@ -7,7 +7,12 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as suite
-from tests import readme_claims, readme_figures, readme_speeds  # noqa: F401
+from tests import (  # noqa: F401
+    readme_claims,
+    readme_figures,
+    readme_placing,
+    readme_speeds,
+)
 
 COMMANDS = {
     "contact-speed-512": "contact_speed, an earlier version with wider vectors",
