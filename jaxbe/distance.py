@@ -128,7 +128,7 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, n: Components) -> WitnessPoin
     the ellipsoid's is taken.
     """
     reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)
-    d = _from_center(box, ellipsoid, reach)
+    d = _offset(box, ellipsoid, reach)
     e = split_vector(box.half_extents, n[0].ndim)
 
     def coordinate(i: int) -> Scalars:
@@ -147,7 +147,7 @@ def _reach(pair: CanonicalPair, n: Components) -> Components:
     return (*kept_pair(reach[0], reach[1], n[0]), kept(reach[2], n[0]))
 
 
-def _from_center(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
+def _offset(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
     """K - V reach - C."""
     rank = reach[0].ndim
     C, K = split_vector(box.center, rank), split_vector(ellipsoid.center, rank)

@@ -8,7 +8,6 @@ sample of this size can tell.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from jaxbe import plan_errors
 from jaxbe.distance import MAX_STEPS as MOST_DISTANCE_STEPS
 from jaxbe.distance import signed_distance
+from jaxbe.float64 import float64_allowed
 from jaxbe.growth import MAX_STEPS as MOST_MARGIN_STEPS
 from jaxbe.lower_bound import distance_lower_bound
 from jaxbe.margin import margin
@@ -143,7 +143,7 @@ class Sample:
         """What it says of the pairs rounded to `dtype`, reckoned in `work`."""
         key = function, steps, dtype, gradients, work
         if key not in self._answers:
-            with _float64_allowed():
+            with float64_allowed():
                 pairs = [x.astype(dtype).astype(work or dtype) for x in self._fields]
                 bodies = Box.unchecked(*pairs[:3]), Ellipsoid.unchecked(*pairs[3:])
                 found = _program(function, steps, gradients)(*bodies)
@@ -176,20 +176,9 @@ def _program(function: str, steps: int, gradients: bool) -> Callable[..., Any]:
     return jax.jit(call)
 
 
-def _float64_allowed() -> contextlib.AbstractContextManager[Any]:
-    """Until jax 0.7 the name was another one."""
-    if hasattr(jax, "enable_x64"):
-        allowed: contextlib.AbstractContextManager[Any] = jax.enable_x64(True)
-        return allowed
-    import jax.experimental as older
-
-    return older.enable_x64()  # type: ignore[no-any-return, attr-defined]
-
-
 def _flattened(body: Box | Ellipsoid, batch: tuple[int, ...]) -> list[np.ndarray]:
     """The fields (n, 3), (n, 3, 3), (n, 3) of a body that broadcasts to the batch."""
-    own = {"axes": (3, 3)}
-    shapes = {name: own.get(name, (3,)) for name in body.fields()}
+    shapes = {name: (3, 3) if name == "axes" else (3,) for name in body.fields()}
     return [
         np.broadcast_to(np.asarray(x), batch + shapes[name]).reshape(-1, *shapes[name])
         for name, x in body.fields().items()

@@ -135,23 +135,16 @@ QUICK = [OURS, *(name for name in METHODS if name.startswith("MuJoCo"))]
 """The others take as long to compile as the first."""
 
 
-def ends_in_a_proof(name):
+@pytest.mark.parametrize(
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in METHODS],
+)
+def test_a_method_ends_in_a_proof(name):
     pytest.importorskip(METHODS[name].package)
     problem = crate(seed=3, fruit=2, starts=4)
     run = placement.solved(METHODS[name], problem, budget=60)
     assert 0 < run["solved_after"] <= run["tried_for"]
     assert run["clearance"] > 0
-
-
-@pytest.mark.parametrize("name", QUICK)
-def test_a_method_ends_in_a_proof(name):
-    ends_in_a_proof(name)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in QUICK])
-def test_every_other_method_ends_in_a_proof(name):
-    ends_in_a_proof(name)
 
 
 def test_the_gradient_of_sqrt_q_less_one_vanishes_within():

@@ -4,8 +4,12 @@ import json
 import re
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+import jaxbe.mjx
 from benchmarks import __main__ as suite
 from tests import (  # noqa: F401
     readme_claims,
@@ -71,3 +75,46 @@ def test_every_results_file_names_its_command():
         name = file.name.removesuffix("-cpu.json")
         found = json.loads(file.read_text())
         assert "command" in found or name in parts or name in COMMANDS, file.name
+
+
+def blocks():
+    """The Python of the README, as it stands."""
+    return re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+@pytest.mark.usefixtures("jax_as_users_have_it")
+def test_the_ten_lines_and_the_plan_run_as_printed(capsys):
+    (ten,) = (block for block in blocks() if "parcel = " in block)
+    names: dict = {}
+    exec(ten, names)
+    assert names["touching"].shape == (1000,)
+    (plan,) = (block for block in blocks() if "jaxbe.plan(" in block)
+    exec(plan, names)
+    printed = plan.partition("# float32:")[2].partition(";")[0].strip(" #\n")
+    assert printed in capsys.readouterr().out
+    (sample,) = re.findall(r"`(plan\([^`]*sample=[^`]*\))`", README)
+    assert eval(f"jaxbe.{sample}", names).margin
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("jax_as_users_have_it")
+def test_the_environment_runs_as_printed(tmp_path):
+    """On a model of one's own."""
+    file = tmp_path / "robot.xml"
+    file.write_text(ROBOT)
+    (block,) = (block for block in blocks() if "filter_contacts" in block)
+    names: dict = {}
+    try:
+        exec(block.replace("robot.xml", str(file)), names)
+        data = names["mjx"].make_data(names["model"])
+        batch = jax.tree.map(lambda x: jnp.stack([x] * 3), data)
+        _, clearance, overflow = names["step"](batch)
+    finally:
+        jaxbe.mjx.disable_collision()
+    np.testing.assert_allclose(clearance, 0.2, atol=1e-3)
+    assert not overflow.any()
+
+
+ROBOT = """<mujoco><worldbody><geom type="box" size="1 1 .1" pos="0 0 -.1"/>
+<body pos="0 0 .3"><freejoint/><geom type="ellipsoid" size=".3 .2 .1"/></body>
+</worldbody></mujoco>"""

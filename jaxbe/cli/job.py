@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import jax
 import mujoco
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -21,6 +20,7 @@ from jaxbe.cli.sample import Sample
 from jaxbe.cli.scene import labels, load, pairs_of
 from jaxbe.cli.states import States, random_states, states_from_file
 from jaxbe.cli.sweep import Sweep, batch_size
+from jaxbe.float64 import float64_allowed
 from jaxbe.mjx import Pairs
 from jaxbe.viz.picture import Picture
 from jaxbe.viz.view import Mark, View
@@ -40,7 +40,7 @@ def run(options: Options) -> bool:
     model = load(options.scene)
     pairs = pairs_of(model, options.geoms)
     states = _states(model, options)
-    with _float64_available():
+    with float64_allowed():
         result = _examine(model, pairs, states, options)
     try:
         if options.picture is not None:
@@ -104,14 +104,3 @@ def _progress(total: int, *, shown: bool) -> Iterator[Any]:
     with bar:
         task = bar.add_task("states", total=total)
         yield lambda done: bar.update(task, completed=done)
-
-
-@contextlib.contextmanager
-def _float64_available() -> Iterator[None]:
-    """Lets arrays be float64; those that are float32 stay so."""
-    before = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
-    try:
-        yield
-    finally:
-        jax.config.update("jax_enable_x64", before)  # type: ignore[no-untyped-call]
