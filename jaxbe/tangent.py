@@ -31,6 +31,9 @@ SHORT_STEP = 0.25
 FLOOR = 1e-4
 """Of the Hessian's smaller eigenvalue, in units of its diagonal."""
 
+ROUNDED_ZERO = 64
+"""A component below so many units of rounding of the largest one is taken for zero."""
+
 
 class Chart(NamedTuple):
     """Which component of u is held, being the largest.
@@ -169,12 +172,17 @@ def improved(pair: Search, u: Components) -> Components:
         pair: the bodies.
         u: a direction, not zero.
     """
+    u = without_rounding(u)
     at = tangent(pair, u)
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
     # Near the minimum all depths are alike, and Newton's step still gains digits.
-    steps = (1.0, pair.rounding), (_until_first_zero(at.chart, u, t_1, t_2), 0.0)
+    steps = (
+        (1.0, pair.rounding),
+        (_until_first_zero(at.chart, u, t_1, t_2), 0.0),
+        (_until_narrowest(pair, u, move), 0.0),
+    )
     for share, allowance in steps:
         candidate = _moved(u, move, share)
         there = depth(pair, candidate)
@@ -185,6 +193,16 @@ def improved(pair: Search, u: Components) -> Components:
             jnp.where(better, there.length, least.length),
         )
     return best
+
+
+def without_rounding(u: Components) -> Components:
+    """The direction u with what is zero but for rounding set to zero.
+
+    On which side of its kink such a component lies is chance. Where the minimum is not
+    at the kink after all, the next step of Newton's method releases it.
+    """
+    least = ROUNDED_ZERO * float(np.finfo(u[0].dtype).eps) * largest(_absolute(u))
+    return vector(lambda i: jnp.where(abs(u[i]) < least, 0, u[i]))
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
@@ -199,6 +217,10 @@ def _slope(u_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
     """The derivative of F in u_i; where u_i is zero, the smallest one."""
     at_kink = g_i - clip(g_i, -e_i, e_i)
     return jnp.where(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
+
+
+def _absolute(u: Components) -> Components:
+    return vector(lambda i: abs(u[i]))
 
 
 def _chart(u: Components) -> Chart:
@@ -259,6 +281,20 @@ def _moved(u: Components, move: Components, share: Scalars | float) -> Component
     return vector(
         lambda i: jnp.where(u[i] * there[i] < to_rounding * u[i] * u[i], 0, there[i])
     )
+
+
+def _until_narrowest(pair: Search, u: Components, move: Components) -> Scalars:
+    """The share of the step after which the ellipsoid is narrowest, or SHORT_STEP.
+
+    Along a needle's axis s is as good as |a_p v_p.u|: it has a kink where that is zero.
+    """
+    there, here = (
+        vector(lambda p: dot(column(pair.B, p), x))  # noqa: B023
+        for x in (move, u)
+    )
+    left, gone = -dot(here, there), dot(there, there)
+    before = (left > 0) & (left < SHORT_STEP * gone)
+    return shared(jnp.where(before, left / jnp.where(before, gone, 1), SHORT_STEP))
 
 
 def _until_first_zero(
