@@ -177,11 +177,11 @@ def improved(pair: Search, u: Components) -> Components:
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
-    # Near the minimum all depths are alike, and Newton's step still gains digits.
+    # Near the minimum all depths are alike, and the whole step still gains digits.
     steps = (
         (1.0, pair.rounding),
-        (_until_first_zero(at.chart, u, t_1, t_2), 0.0),
-        (_until_narrowest(pair, u, move), 0.0),
+        (_until_first_zero(at.chart, u, t_1, t_2), -pair.rounding),
+        (_until_narrowest(pair, u, move), -pair.rounding),
     )
     for share, allowance in steps:
         candidate = _moved(u, move, share)
