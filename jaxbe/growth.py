@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbe.components import dot, is_zero, largest, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
@@ -52,6 +53,10 @@ STEPS_A_LOOP = 5
 3000 operations into functions that call each other, and what they share is computed
 again by each: eight steps run a thousand times slower. What precedes is a loop of its
 own (see `jaxbe.kept`), in other units, or else XLA would look for what both share."""
+
+
+FEASIBLE_ROUNDINGS = 8
+"""In `_feasible`, more than the roundings of each term, in units of eps."""
 
 
 class Iterate(NamedTuple):
@@ -207,14 +212,22 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     so as well if q - 2 rho alpha E + rho^2 x^T N x <= alpha^2 (1 + rho)^2. Without a
     real root there remains max(alpha, sqrt(q)).
 
+    Where x and the centre lie almost in one direction, as between two needles, that sum
+    cancels: what rounding may hide of it is added to the right side, whatever rho is.
+
     Written for one loop: no root with two uses, nothing compared with a quotient.
     """
-    square = alpha * alpha
-    b = alpha * (alpha + extent(near.n, e))
+    square, reach = alpha * alpha, extent(near.n, e)
+    size = squared_length(near.x, m)
+    b = alpha * (alpha + reach)
     c = near.q - square
-    discriminant = b * b + (square - squared_length(near.x, m)) * c
+    discriminant = b * b + (square - size) * c
     total = b + jnp.sqrt(jnp.maximum(discriminant, 0))
     usable = (discriminant >= 0) & (total > 0) & (c > -total)
     rho = c / jnp.where(usable, total, 1)
-    simple = jnp.sqrt(jnp.maximum(square, near.q))
-    return jnp.where(usable, jnp.minimum(simple, alpha * (1 + rho)), simple)
+    terms = near.q + rho * rho * size + 2 * abs(rho) * (alpha * reach)
+    hidden = FEASIBLE_ROUNDINGS * float(np.finfo(alpha.dtype).eps) * terms
+    grown = alpha * (1 + rho)
+    simple = jnp.maximum(square, near.q)
+    better = jnp.minimum(simple, grown * grown + hidden)
+    return jnp.sqrt(jnp.where(usable, better, simple))
