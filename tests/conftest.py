@@ -45,6 +45,42 @@ def quick_contact(monkeypatch):
     monkeypatch.setattr("jaxbe.cli.sweep.contact", contact)
 
 
+@pytest.fixture
+def stand_in_tests(monkeypatch):
+    """Lets the command compare distances of centres: nothing is compiled."""
+    # Only here, for where there is no mujoco.
+    from jaxbe.cli.sweep import Tests
+
+    def ratio(box, ellipsoid):
+        return np.linalg.norm(box - ellipsoid, axis=-1)
+
+    def contact(box, ellipsoid):
+        points = box, np.broadcast_to([0.0, 0.0, 1.0], box.shape), box, ellipsoid
+        return jaxbe.Contact(ratio(box, ellipsoid) - 1, *points)
+
+    def compile_tests(pairs, model, poses):
+        timed = dict.fromkeys(jaxbe.METHODS, lambda b, e: ratio(b, e) <= 1)
+        timed |= {
+            "contact": contact,
+            "certify": lambda b, e: np.sign(1 - ratio(b, e)).astype(int),
+        }
+        return Tests(
+            gather=lambda poses: tuple(
+                poses.geom_xpos[:, pairs.geom[:, i]] for i in (1, 0)
+            ),
+            timed=timed,
+            scaled_distance=ratio,
+            margin=lambda b, e: ratio(b, e) - 1,
+            compile_seconds=dict.fromkeys(timed, 0.0),
+        )
+
+    monkeypatch.setattr("jaxbe.cli.sweep.compile_tests", compile_tests)
+    monkeypatch.setattr(
+        "jaxbe.cli.crosscheck.scaled_distance",
+        lambda box, ellipsoid: ratio(box.center, ellipsoid.center),
+    )
+
+
 @pytest.fixture(params=["closest_features", "all_features", "minkowski"])
 def method(request):
     return request.param

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Any
 
 import numpy as np
@@ -48,12 +50,21 @@ def picture_text(drawn: Picture) -> str:
 
 
 def _rendered(*parts: str | Table) -> str:
-    """As wide and as colourful as standard output is."""
-    console = Console(highlight=False, markup=False, emoji=False)
-    with console.capture() as capture:
-        for part in parts:
-            console.print(part, soft_wrap=isinstance(part, str))
-    return capture.get()
+    text = _ForStandardOutput()
+    console = Console(file=text, highlight=False, markup=False, emoji=False)
+    for part in parts:
+        console.print(part, soft_wrap=isinstance(part, str))
+    return text.getvalue()
+
+
+class _ForStandardOutput(io.StringIO):
+    """Collects text as wide and colourful as standard output is.
+
+    By itself rich ends the process, with status 1, where nobody reads.
+    """
+
+    def isatty(self) -> bool:
+        return sys.stdout is not None and sys.stdout.isatty()
 
 
 def _heading(report: Report, options: Options) -> list[str]:

@@ -3,7 +3,7 @@
 from jaxbe.cli.shown import shown
 
 LONGEST = 1000
-"""Messages that quote a whole file are cut, after so many characters."""
+"""Messages that quote a whole file are cut in the middle, to so many characters."""
 
 
 class InputError(Exception):
@@ -20,4 +20,6 @@ class OutputError(Exception):
 def one_line(message: object) -> str:
     """A message in one line that a terminal can show."""
     line = " ".join(str(message).split())
-    return shown(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    return shown(line)

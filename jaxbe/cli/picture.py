@@ -25,8 +25,7 @@ def check_writable(path: Path) -> None:
     """
     with _refusals_said(path):
         target = _target(path)
-        if target.exists():
-            _check_replaceable(target)
+        _check_replaceable(path)
         if target.suffix.lower() != ".png":
             raise _refused(path, "a picture's name ends in .png")
         with _beside(target):
@@ -77,14 +76,17 @@ def _target(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _check_replaceable(target: Path) -> None:
-    mode = target.stat().st_mode
+def _check_replaceable(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return
     if stat.S_ISDIR(mode):
-        raise _refused(target, "Is a directory")
+        raise _refused(path, "Is a directory")
     if not stat.S_ISREG(mode):
-        raise _refused(target, "not a regular file")
-    if not os.access(target, os.W_OK):
-        raise _refused(target, "Permission denied")
+        raise _refused(path, "not a regular file")
+    if not os.access(path, os.W_OK):
+        raise _refused(path, "Permission denied")
 
 
 @contextlib.contextmanager
