@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -232,8 +233,11 @@ def test_nobody_is_advised_to_load_unsafely(folder, run, content):
 # What was found is printed; statuses.
 
 
-def test_an_arena_too_small_loses_only_the_comparison(folder, run):
+def test_an_arena_too_small_loses_only_the_comparison(folder, run, monkeypatch):
     Path("small.xml").write_bytes(scene_bytes(extra=b'<size memory="2K"/>'))
+    if mujoco.__version__ < "3.9":  # It had enough.
+        error = mujoco.FatalError("mj_stackAlloc: out of memory\n")
+        monkeypatch.setattr(mujoco, "mj_geomDistance", fail(error))
     out, error = run(2, "small.xml", *COMPARED)
     assert error.startswith("error: MuJoCo: mj_stackAlloc: out of memory")
     assert "between the three tests: 0 disagreements on 10 pairs in states" in out
@@ -253,7 +257,11 @@ def fail(error):
 @pytest.mark.parametrize(
     ("error", "status", "line"),
     [
-        (RuntimeError("one\n\x1btwo"), 3, r"unexpected error: RuntimeError: one \x1btwo"),
+        (
+            RuntimeError("one\n\x1btwo"),
+            3,
+            r"unexpected error: RuntimeError: one \x1btwo",
+        ),
         (AssertionError(), 3, "unexpected error: AssertionError: (test_cli_faults.py:"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
@@ -276,7 +284,9 @@ def test_the_unexpected_has_a_status_and_a_line(
     ("error", "status", "printed"),
     [(RuntimeError("x"), 3, True), (KeyboardInterrupt(), 130, False)],
 )
-def test_batches_before_an_error_count(folder, run, monkeypatch, error, status, printed):
+def test_batches_before_an_error_count(
+    folder, run, monkeypatch, error, status, printed
+):
     """But for Ctrl-C: it may have come in the middle of a sum."""
     rows = job.random_states
 
@@ -312,11 +322,12 @@ def test_a_disagreement_found_before_an_error_is_no_open_question(
 def test_every_status_is_documented():
     from jaxbe.cli import arguments
 
-    readme = (Path(jaxbe.__file__).parents[1] / "README.md").read_text()
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    said = re.search(r"Exit status:[^.]*\.", readme)[0]
     for name, value in vars(jaxbe.cli).items():
         if name.startswith("EXIT_"):
             assert f"\n  {value}  " in arguments.EPILOG
-            assert f"{value} " in readme.split("Exit status: ")[1][:200]
+            assert f" {value} " in " ".join(said.split())
 
 
 # Memory.
@@ -613,7 +624,9 @@ def test_what_the_renderer_says_is_escaped(folder, run, monkeypatch):
     """It may be anything: a library's message in another encoding."""
     said = "raise SystemExit('\\x1b[31m\\udcff')"
     monkeypatch.setattr(sys, "executable", str(folder / "python"))
-    Path("python").write_text(f'#!/bin/sh\nprintf "\\033[31m\\377" >&2; exit 1 # {said}')
+    Path("python").write_text(
+        f'#!/bin/sh\nprintf "\\033[31m\\377" >&2; exit 1 # {said}'
+    )
     Path("python").chmod(0o755)
     monkeypatch.setattr(picture, "_backends", lambda: ["egl"])
     out, _ = run(0, "scene.xml", *FEW, "--picture", "out.png")
