@@ -1,5 +1,6 @@
 """Both float types, with every implicit promotion an error."""
 
+import gc
 import os
 
 import jax
@@ -12,6 +13,16 @@ import jaxbe
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionfinish():
+    """Spares pytest's garbage collections at the end what JAX's programs left.
+
+    They take seconds each, and xdist's workers have five to end: then they are
+    interrupted, with a traceback after the last dot.
+    """
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -257,11 +257,7 @@ def fail(error):
 @pytest.mark.parametrize(
     ("error", "status", "line"),
     [
-        (
-            RuntimeError("one\n\x1btwo"),
-            3,
-            r"unexpected error: RuntimeError: one \x1btwo",
-        ),
+        (RuntimeError("a\n\x1bb"), 3, r"unexpected error: RuntimeError: a \x1bb"),
         (AssertionError(), 3, "unexpected error: AssertionError: (test_cli_faults.py:"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
@@ -622,11 +618,8 @@ def test_a_module_beside_the_scene_is_not_executed(folder, monkeypatch, search):
 
 def test_what_the_renderer_says_is_escaped(folder, run, monkeypatch):
     """It may be anything: a library's message in another encoding."""
-    said = "raise SystemExit('\\x1b[31m\\udcff')"
     monkeypatch.setattr(sys, "executable", str(folder / "python"))
-    Path("python").write_text(
-        f'#!/bin/sh\nprintf "\\033[31m\\377" >&2; exit 1 # {said}'
-    )
+    Path("python").write_text('#!/bin/sh\nprintf "\\033[31m\\377" >&2; exit 1')
     Path("python").chmod(0o755)
     monkeypatch.setattr(picture, "_backends", lambda: ["egl"])
     out, _ = run(0, "scene.xml", *FEW, "--picture", "out.png")
