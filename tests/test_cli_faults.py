@@ -230,6 +230,29 @@ def test_nobody_is_advised_to_load_unsafely(folder, run, content):
     assert "unsafe" not in error
 
 
+@pytest.mark.parametrize(
+    ("size", "dtype", "fits"),
+    [
+        (b"1e39 1 1", "float32", False),
+        (b"1e39 1 1", "float64", True),
+        (b"1 1 1e-39", "float32", False),
+        (b"1 1 1e-39", "float64", True),
+        (b"1 1 1e-310", "float64", False),
+    ],
+)
+def test_sizes_beyond_the_dtype_are_refused(folder, run, size, dtype, fits):
+    Path("x.xml").write_bytes(scene_bytes(b"\x1b").replace(b".1 .2 .3", size))
+    _, error = run(0 if fits else 2, "x.xml", *FEW, "--dtype", dtype)
+    if not fits:
+        assert error.startswith(r"error: \x1b: size [")
+        assert error.endswith(f"] m is beyond {dtype}")
+
+
+def test_a_plate_may_be_as_thin_as_it_likes(folder, run):
+    Path("x.xml").write_bytes(scene_bytes().replace(b".5 .4 .02", b".5 .4 1e-320"))
+    run(0, "x.xml", *FEW)
+
+
 # What was found is printed; statuses.
 
 

@@ -22,7 +22,7 @@ from jaxbe.cli.memory import room_for
 from jaxbe.cli.output import complain, write
 from jaxbe.cli.report import Report
 from jaxbe.cli.sample import Sample
-from jaxbe.cli.scene import labels, load, pairs_of
+from jaxbe.cli.scene import check_sizes, labels, load, pairs_of
 from jaxbe.cli.states import States, random_states, states_from_file
 from jaxbe.cli.sweep import Sweep, batch_size
 from jaxbe.float64 import float64_allowed
@@ -47,6 +47,7 @@ def run(options: Options) -> bool:
             picture.check_writable(options.picture)
         model = load(options.scene)
         pairs = pairs_of(model, options.geoms)
+        check_sizes(model, pairs, options.dtype)
         states = _states(model, options)
         if options.picture is not None:
             inputs = options.scene, options.qpos

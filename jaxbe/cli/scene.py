@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from jaxbe.cli.errors import InputError
 from jaxbe.cli.files import check_is_file
@@ -54,6 +55,24 @@ def pairs_of(model: Any, geoms: list[str] | None) -> Pairs:
             f"the scene has no box-ellipsoid pair{of_these} that may collide"
         )
     return pairs
+
+
+def check_sizes(model: Any, pairs: Pairs, dtype: str) -> None:
+    """Checks that the bodies have sizes in the dtype; MuJoCo lets them be infinite.
+
+    Raises:
+        InputError: a size that overflows, or a semi-axis that is lost.
+    """
+    smallest = np.array([np.finfo(dtype).tiny, 0])  # A box may be a plate.
+    sizes = model.geom_size[pairs.geom].astype(float)
+    largest = float(np.finfo(dtype).max)
+    fits = (sizes >= smallest[:, None]) & (sizes <= largest)
+    for pair, body in np.argwhere(~fits.all(axis=2))[:1]:
+        geom = pairs.geom[pair, body]
+        raise InputError(
+            f"{shown(labels(model)[geom])}: size {sizes[pair, body].tolist()} m is "
+            f"beyond {dtype}"
+        )
 
 
 def labels(model: Any) -> list[str]:
