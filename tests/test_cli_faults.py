@@ -623,7 +623,7 @@ def test_what_is_protected_is_not_replaced(folder, run, drawn):
     assert "Permission denied" in run(2, "scene.xml", *FEW, "--picture", "out.png")[1]
 
 
-@pytest.mark.parametrize("search", [None, os.pathsep, f"{os.pathsep}elsewhere"])
+@pytest.mark.parametrize("search", [None, f"{os.pathsep}elsewhere"])
 def test_a_module_beside_the_scene_is_not_executed(folder, monkeypatch, search):
     """Python's -m and an empty entry of PYTHONPATH look into the current folder."""
     poison = "open('poisoned', 'w').close()"
@@ -633,10 +633,23 @@ def test_a_module_beside_the_scene_is_not_executed(folder, monkeypatch, search):
         monkeypatch.delenv("PYTHONPATH", raising=False)
     else:
         monkeypatch.setenv("PYTHONPATH", search)
-    view = View("scene.xml", [0.0], [], [1, 0], [])
-    picture._render(view, Path("out.png"), "egl")
+    view = View("missing.xml", [0.0], [], [1, 0], [])
+    reason = picture._render(view, Path("out.png"), "disable")
+    assert "missing.xml" in reason, "so it ran"
     assert not Path("poisoned").exists()
-    assert picture._render(view._replace(scene="missing"), Path("x.png"), "egl"), "runs"
+
+
+def test_nor_by_the_command_as_a_module(folder):
+    for name in ("mujoco", "rich", "matplotlib"):
+        Path(f"{name}.py").write_text("open('poisoned', 'w').close()")
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxbe", "missing.xml"],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2, done.stderr
+    assert not Path("poisoned").exists()
 
 
 def test_what_the_renderer_says_is_escaped(folder, run, monkeypatch):
