@@ -23,9 +23,10 @@ from jaxbe.components import (
     times,
     vector,
 )
+from jaxbe.kept import kept, kept_pair
 from jaxbe.kernel import nearest
 from jaxbe.metric import metric
-from jaxbe.pose import canonical_pair
+from jaxbe.pose import canonical_pair, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars, Vectors
 
@@ -88,11 +89,14 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     rank = pair.per_unit.ndim
     near = nearest(pair.k, pair.e, metric(pair.R, pair.a))
     e = split_vector(box.half_extents, rank)
+    given = of_all(pair)
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
+    x = (*kept_pair(x[0], x[1], given), kept(x[2], given))
     U = split_matrix(box.axes, rank)
     size = largest(_absolute(near.n))
     n = vector(lambda i: near.n[i] / jnp.where(size > 0, size, 1))
     w = times(U, n)
+    w = (*kept_pair(w[0], w[1], given), kept(w[2], given))
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)
