@@ -39,6 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe.choice import choose
 from jaxbe.components import (
     clip,
     column,
@@ -196,8 +197,8 @@ def _nearest_face(k: Components, e: Components) -> Components:
     first = (depth[0] <= depth[1]) & (depth[0] <= depth[2])
     second = ~first & (depth[1] <= depth[2])
     chosen = (first, second, ~first & ~second)
-    sign = vector(lambda i: jnp.where(k[i] < 0, -1, 1).astype(k[i].dtype))
-    return vector(lambda i: jnp.where(chosen[i], sign[i], 0))
+    sign = vector(lambda i: choose(k[i] < 0, -1, 1).astype(k[i].dtype))
+    return vector(lambda i: choose(chosen[i], sign[i], 0))
 
 
 def _kernel_normal(pair: CanonicalPair, mu: Scalars, steps: int) -> Components:

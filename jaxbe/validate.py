@@ -108,7 +108,7 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
     _check_one_dtype(kind, fields)
     leading = {name: batch_axes(name, x) for name, x in fields.items()}
     try:
-        return np.broadcast_shapes(*leading.values())
+        return lax.broadcast_shapes(*leading.values())
     except ValueError:
         raise ValueError(
             f"{kind}: the leading axes of its fields must broadcast, got {leading}"
