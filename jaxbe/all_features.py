@@ -20,6 +20,7 @@ from collections.abc import Iterator
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, minimum
 from jaxbe.components import clip, largest, vector
 from jaxbe.metric import Metric
 from jaxbe.types import Components, Flags, Scalars
@@ -37,13 +38,13 @@ def overlaps(k: Components, e: Components, m: Metric) -> Flags:
         True when they overlap or touch, and when a number is NaN.
     """
     candidates = itertools.chain([_inside(k, e)], _faces(k, e, m), _edges(k, e, m))
-    return ~(functools.reduce(jnp.minimum, candidates) > 1)
+    return ~(functools.reduce(minimum, candidates) > 1)
 
 
 def _inside(k: Components, e: Components) -> Scalars:
     """0 if the centre is in the box, else infinity; NaN if k is."""
     violation = largest(vector(lambda i: abs(k[i]) - e[i]))
-    return jnp.where(violation > 0, jnp.inf, 0 * k[0])
+    return choose(violation > 0, jnp.inf, 0 * k[0])
 
 
 def _faces(k: Components, e: Components, m: Metric) -> Iterator[Scalars]:
@@ -54,7 +55,7 @@ def _faces(k: Components, e: Components, m: Metric) -> Iterator[Scalars]:
         on_face = _spans(j, m.in_plane[j][i] * d_i, k, e) & _spans(
             l, m.in_plane[l][i] * d_i, k, e
         )
-        yield jnp.where(on_face, m.plane[i] * d_i * d_i, jnp.inf)
+        yield choose(on_face, m.plane[i] * d_i * d_i, jnp.inf)
 
 
 def _spans(j: int, t: Scalars, k: Components, e: Components) -> Flags:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
     column,
@@ -91,7 +92,7 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
     U = split_matrix(box.axes, rank)
     size = largest(_absolute(near.n))
-    n = vector(lambda i: near.n[i] / jnp.where(size > 0, size, 1))
+    n = vector(lambda i: near.n[i] / choose(size > 0, size, 1))
     w = times(U, n)
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
@@ -118,7 +119,7 @@ class _Proof:
         # What is flushed to zero, before or after the scaling; and its square root.
         tiny = float(ROUNDINGS * info.tiny)
         lengths = (*_absolute(self.offset), *self.e, *self.a)
-        self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + _sum_of(lengths))
+        self.flushed = tiny * maximum(per_unit, 1) * (1 + _sum_of(lengths))
         self.root = float(8 * np.sqrt(info.tiny))
 
     def separates(self, w: Components) -> Flags:

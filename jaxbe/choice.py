@@ -26,9 +26,11 @@ Numbers = Scalars | np.ndarray | float
 
 def choose(condition: Flags, x: Numbers, y: Numbers) -> Scalars:
     """`jnp.where`, also between two constants."""
-    if _has_explicit_axes(condition):
+    if _may_hide_an_axis(condition):
         one = condition | True
-        x, y = _times_one(x, one), _times_one(y, one)
+        chosen = jnp.where(condition, _times_one(x, one), _times_one(y, one))
+        # Going backwards, it is this that may be a constant.
+        return _times_one(chosen, one)
     return jnp.where(condition, x, y)
 
 
@@ -43,36 +45,37 @@ def minimum(x: Numbers, y: Numbers) -> Scalars:
 
 
 def _extreme(function: Callable[..., Scalars], x: Numbers, y: Numbers) -> Scalars:
-    if _has_explicit_axes(x) or _has_explicit_axes(y):
+    if _may_hide_an_axis(x) or _may_hide_an_axis(y):
         dtype = jnp.result_type(x, y)
         both = (v.astype(dtype) for v in jnp.broadcast_arrays(x, y))
-        return _explicit_extreme(function, *both)
+        return _extreme_of_scalars(function, *both)
     return function(x, y)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _explicit_extreme(
+def _extreme_of_scalars(
     function: Callable[..., Scalars], x: Scalars, y: Scalars
 ) -> Scalars:
     return function(x, y)
 
 
-@_explicit_extreme.defjvp
-def _explicit_extreme_jvp(
+@_extreme_of_scalars.defjvp
+def _extreme_of_scalars_jvp(
     function: Callable[..., Scalars], primals: Any, tangents: Any
 ) -> tuple[Scalars, Scalars]:
     """As JAX has it: where both are equal, half of each tangent."""
     x, y = primals
-    value = _explicit_extreme(function, x, y)
+    value = _extreme_of_scalars(function, x, y)
     is_x, is_y = x == value, y == value
     of_x = choose(is_x, 1.0, 0.0) / choose(is_y, 2.0, 1.0)
     of_y = choose(is_y, 1.0, 0.0) / choose(is_x, 2.0, 1.0)
     return value, of_x * tangents[0] + of_y * tangents[1]
 
 
-def _has_explicit_axes(x: Numbers) -> bool:
-    """Whether the mesh of an array has axes that are part of its type."""
-    return AxisType.Explicit in jax.typeof(x).sharding.mesh.axis_types
+def _may_hide_an_axis(x: Numbers) -> bool:
+    """Whether an explicit axis may be mapped, and none is left that tells JAX of it."""
+    mesh = jax.typeof(x).sharding.mesh
+    return jnp.ndim(x) == 0 and AxisType.Explicit in mesh.axis_types
 
 
 def _times_one(x: Numbers, one: Flags) -> Scalars:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, maximum
 from jaxbe.closest import closest
 from jaxbe.components import (
     clip,
@@ -104,8 +105,8 @@ def distance_bounds(
     apart = jnp.sqrt(dot(between, between))
     pair = canonical_pair_again(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
-    upper = jnp.where(overlaps, -_contained_ball(pair), apart)
-    return lower, jnp.maximum(lower, upper)
+    upper = choose(overlaps, -_contained_ball(pair), apart)
+    return lower, maximum(lower, upper)
 
 
 class WitnessPoints(NamedTuple):
@@ -133,7 +134,7 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, n: Components) -> WitnessPoin
 
     def coordinate(i: int) -> Scalars:
         free = clip(_along_axis(box, d, i), -e[i], e[i])
-        return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * e[i])
+        return choose(n[i] == 0, free, jnp.sign(n[i]) * e[i])
 
     x = vector(coordinate)
     return WitnessPoints((*kept_pair(x[0], x[1], d[2]), kept(x[2], d[2])), d)
@@ -165,4 +166,4 @@ def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
     _, alpha = growth_bounds(pair, STEPS_A_LOOP)
     ball = smallest(pair.e) + smallest(pair.a)
-    return jnp.maximum(1 - alpha, 0) * ball / pair.per_unit
+    return maximum(1 - alpha, 0) * ball / pair.per_unit
