@@ -30,6 +30,8 @@ ORTHONORMAL_ROUNDINGS = 1000
 NARROW_TOLERANCE = 0.03
 """Or, in bfloat16, by so much: four units of rounding."""
 
+DENORMAL = "(a denormal number counts as zero)"
+
 _TAILS = {"axes": (3, 3), "wxyz": (4,)}
 """The trailing axes of the fields that are not vectors of three."""
 
@@ -71,12 +73,20 @@ def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array
             bfloat16, or two fields then differ in dtype.
     """
     wide = {
-        name: _widened(name, jnp.asarray(x)) if hasattr(x, "dtype") else x
+        name: _widened(name, owned(x)) if hasattr(x, "dtype") else x
         for name, x in fields.items()
     }
     arrays = _of_one_dtype(kind, wide, jnp)
     # A weak type would compile every caller a second time.
     return {n: lax.convert_element_type(x, x.dtype) for n, x in arrays.items()}
+
+
+def owned(x: ArrayLike, dtype: Any = None) -> jax.Array:
+    """An array of JAX that shares no memory with one of NumPy, which may change later.
+
+    JAX by itself takes over what is aligned, or copies it at some later time.
+    """
+    return jnp.asarray(x if isinstance(x, jax.Array) else np.array(x, dtype), dtype)
 
 
 def as_host_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
@@ -93,12 +103,13 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
 
     Raises:
         TypeError: a dtype that is not float32 or float64, or not the same in
-            all fields.
+            all fields; an array of JAX in float64 where that is switched off.
         ValueError: a shape without the trailing axes that the field needs, or
             leading axes that do not broadcast.
     """
     for name, x in fields.items():
         _check_dtype(kind, name, x)
+        _check_float64(kind, name, x)
         tail = _TAILS.get(name, (3,))
         if x.shape[-len(tail) :] != tail:
             expected = ", ".join(["...", *map(str, tail)])
@@ -133,12 +144,14 @@ def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
     if "axes" in fields:
         yield _orthonormal(fields["axes"], xp)
     if "wxyz" in fields:
-        nonzero = xp.any(fields["wxyz"] != 0, axis=-1, keepdims=True)
-        yield Rule("wxyz", "of non-zero length", nonzero)
+        nonzero = _is_normal(xp.abs(fields["wxyz"]))
+        nonzero = xp.any(nonzero, axis=-1, keepdims=True)
+        yield Rule("wxyz", f"of non-zero length {DENORMAL}", nonzero)
     if "half_extents" in fields:
         yield Rule("half_extents", "non-negative", fields["half_extents"] >= 0)
     if "semi_axes" in fields:
-        yield Rule("semi_axes", "positive", fields["semi_axes"] > 0)
+        positive = _is_normal(fields["semi_axes"])
+        yield Rule("semi_axes", f"positive {DENORMAL}", positive)
 
 
 def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
@@ -182,6 +195,11 @@ def _widened(name: str, x: jax.Array) -> jax.Array:
         excess = _gram(wide, jnp) - _identity(wide, jnp)
         wide = wide - jnp.sum(wide[..., :, :, None] * excess[..., None, :, :], -2) / 2
     return wide
+
+
+def _is_normal(x: Any) -> Any:
+    """Where x is a positive number that compiled programs do not take for zero."""
+    return x >= np.finfo(x.dtype).tiny
 
 
 def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
@@ -236,6 +254,16 @@ def _of_one_dtype(
 def _check_dtype(kind: str, name: str, x: jax.Array) -> None:
     if str(x.dtype) not in DTYPES:
         raise TypeError(f"{kind}: {name} must be {' or '.join(DTYPES)}, got {x.dtype}")
+
+
+def _check_float64(kind: str, name: str, x: jax.Array) -> None:
+    """Half of what is computed would be rounded to float32, and not be comparable."""
+    is_off = not jax.config.jax_enable_x64
+    if is_off and isinstance(x, jax.Array) and x.dtype == np.float64:
+        raise TypeError(
+            f"{kind}: {name} is float64, which is switched off here (jax_enable_x64): "
+            "use the body where it was built, or build it of float32"
+        )
 
 
 def _check_one_dtype(kind: str, fields: Mapping[str, jax.Array]) -> None:

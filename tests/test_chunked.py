@@ -11,6 +11,7 @@ import pytest
 
 import jaxbe
 from benchmarks import scenes
+from tests.test_shapes import no_x64
 
 BATCHES = [
     ((300,), (300,)),
@@ -235,18 +236,12 @@ def test_bodies_on_the_device_are_taken_too(dtype):
 
 def test_float64_is_rounded_where_jax_has_none():
     bodies = pairs((100,), (100,), np.float64)
-    with jax.enable_x64(False) if hasattr(jax, "enable_x64") else no_x64():
+    with no_x64():
         found = jaxbe.chunked(jaxbe.margin, pairs_per_chunk=30)(*bodies)
     assert found.dtype == np.float32
     rounded = jax.tree.map(lambda x: x.astype(np.float32), bodies)
     expected = jaxbe.chunked(jaxbe.margin, pairs_per_chunk=30)(*rounded)
     np.testing.assert_array_equal(found, expected)
-
-
-def no_x64():
-    from jax.experimental import disable_x64
-
-    return disable_x64()
 
 
 def test_map_bounds_the_memory_inside_jit():
