@@ -258,7 +258,7 @@ def _check_dtype(kind: str, name: str, x: jax.Array) -> None:
 
 def _check_float64(kind: str, name: str, x: jax.Array) -> None:
     """Half of what is computed would be rounded to float32, and not be comparable."""
-    is_off = not jax.config.jax_enable_x64
+    is_off = not jax.config.jax_enable_x64  # type: ignore[attr-defined]
     if is_off and isinstance(x, jax.Array) and x.dtype == np.float64:
         raise TypeError(
             f"{kind}: {name} is float64, which is switched off here (jax_enable_x64): "
