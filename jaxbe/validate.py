@@ -52,7 +52,7 @@ def as_count(name: str, count: Any, least: int, most: int) -> int:
         ValueError: out of range.
     """
     try:
-        number = operator.index(count)
+        number = operator.index(_not_a_flag(count))
     except TypeError:
         raise TypeError(
             f"{name} must be a Python integer (static under jit), got {count!r}"
@@ -60,6 +60,27 @@ def as_count(name: str, count: Any, least: int, most: int) -> int:
     if not least <= number <= most:
         raise ValueError(f"{name} must be from {least} to {most}, got {number}")
     return number
+
+
+def as_number(name: str, number: Any) -> float:
+    """A number that is known, and no more than one; NaN and infinity are some.
+
+    Raises:
+        TypeError: anything else.
+    """
+    try:
+        if np.ndim(number) == 0 and not isinstance(number, str | bytes):
+            return float(_not_a_flag(number))
+    except (TypeError, ValueError):
+        pass
+    raise TypeError(f"{name} must be a number, got {number!r}")
+
+
+def _not_a_flag(x: Any) -> Any:
+    """To Python True is one, but nobody means it."""
+    if isinstance(x, bool | np.bool_):
+        raise TypeError("a boolean is no number")
+    return x
 
 
 def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array]:
