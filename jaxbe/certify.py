@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import validate
 from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
@@ -26,7 +27,7 @@ from jaxbe.components import (
 )
 from jaxbe.kernel import nearest
 from jaxbe.metric import metric
-from jaxbe.pose import canonical_pair
+from jaxbe.pose import batch_shape, canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars, Vectors
 
@@ -80,11 +81,16 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
 
     Raises:
         TypeError: arguments that are not a Box and an Ellipsoid of one dtype.
-        ValueError: batch shapes that do not broadcast.
+        ValueError: batch shapes that do not broadcast; and, for concrete bodies, values
+            that mean no body, as an optimiser may leave them: negative lengths, or axes
+            that differ from orthonormal by more than 1e-3. (See `jaxbe.checked`.)
 
     Source:
         N. J. Higham, "Accuracy and Stability of Numerical Algorithms", section 3.1.
     """
+    batch_shape(box, ellipsoid)
+    for body in (box, ellipsoid):
+        validate.check_possible(type(body).__name__, body.fields())
     pair = canonical_pair(box, ellipsoid)
     rank = pair.per_unit.ndim
     near = nearest(pair.k, pair.e, metric(pair.R, pair.a))

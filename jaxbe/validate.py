@@ -8,7 +8,7 @@ compiled code (`jaxbe.checked`).
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -30,6 +30,9 @@ ORTHONORMAL_ROUNDINGS = 1000
 NARROW_TOLERANCE = 0.03
 """Or, in bfloat16, by so much: four units of rounding."""
 
+DRIFT = 1e-3
+"""Axes that are further from orthonormal are no drifted rotation."""
+
 DENORMAL = "(a denormal number counts as zero)"
 
 _TAILS = {"axes": (3, 3), "wxyz": (4,)}
@@ -42,6 +45,9 @@ class Rule(NamedTuple):
     argument: str
     requirement: str
     ok: Any
+
+
+Rules = Callable[[Mapping[str, Any], ModuleType], Iterator[Rule]]
 
 
 def as_count(name: str, count: Any, least: int, most: int) -> int:
@@ -163,7 +169,12 @@ def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
     for name, x in fields.items():
         yield Rule(name, "finite", xp.isfinite(x))
     if "axes" in fields:
-        yield _orthonormal(fields["axes"], xp)
+        axes = fields["axes"]
+        if str(axes.dtype) == NARROW:
+            yield _orthonormal(axes.astype("float32"), xp, NARROW_TOLERANCE)
+        else:
+            roundings = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
+            yield _orthonormal(axes, xp, roundings)
     if "wxyz" in fields:
         nonzero = _is_normal(xp.abs(fields["wxyz"]))
         nonzero = xp.any(nonzero, axis=-1, keepdims=True)
@@ -175,7 +186,40 @@ def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
         yield Rule("semi_axes", f"positive {DENORMAL}", positive)
 
 
-def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
+def possible_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
+    """What holds where simulations drift or fail, but not where bodies are optimised.
+
+    Axes that are far from a rotation, and negative lengths, are finite numbers that
+    mean no body; NaN and infinity pass.
+
+    Args:
+        fields: as for `value_rules`.
+        xp: as for `value_rules`.
+    """
+    for name, x in fields.items():
+        if name == "axes":
+            yield _orthonormal(x, xp, DRIFT, unless_infinite=True)
+        elif name != "center":
+            yield Rule(name, "non-negative", (x >= 0) | ~xp.isfinite(x))
+
+
+def check_possible(kind: str, fields: Mapping[str, Any]) -> None:
+    """Checks concrete arrays by `possible_rules`, where they are: one flag is fetched.
+
+    Raises:
+        ValueError: as `check_values`.
+    """
+    if not all(map(is_readable, fields.values())):
+        return
+    with jax.ensure_compile_time_eval():
+        if all(bool(jnp.all(rule.ok)) for rule in possible_rules(fields, jnp)):
+            return
+    check_values(kind, fields, possible_rules)
+
+
+def check_values(
+    kind: str, fields: Mapping[str, Any], rules: Rules = value_rules
+) -> None:
     """Checks the values of concrete arrays; traced ones pass unread.
 
     Raises:
@@ -185,7 +229,7 @@ def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
     if not all(map(is_readable, fields.values())):
         return
     values = {name: np.asarray(x) for name, x in fields.items()}
-    for rule in value_rules(values, np):
+    for rule in rules(values, np):
         if not np.all(rule.ok):
             found = _first_broken(rule.argument, values[rule.argument], rule.ok)
             raise ValueError(
@@ -223,12 +267,13 @@ def _is_normal(x: Any) -> Any:
     return x >= np.finfo(x.dtype).tiny
 
 
-def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
-    if str(axes.dtype) == NARROW:
-        axes, tolerance = axes.astype("float32"), NARROW_TOLERANCE
-    else:
-        tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
-    ok = xp.abs(_gram(axes, xp) - _identity(axes, xp)) <= tolerance
+def _orthonormal(
+    axes: Any, xp: ModuleType, tolerance: float, unless_infinite: bool = False
+) -> Rule:
+    excess = xp.abs(_gram(axes, xp) - _identity(axes, xp))
+    ok = excess <= tolerance
+    if unless_infinite:
+        ok = ok | ~xp.isfinite(excess)
     return Rule("axes", f"orthonormal in their columns (to {tolerance:.1e})", ok)
 
 

@@ -208,10 +208,13 @@ def test_any_tolerance_is_the_cheapest_setting():
 
 @pytest.mark.parametrize("number", [np.float32, np.float64, jnp.float32])
 def test_numbers_may_be_of_numpy_or_jax(number):
-    found = jaxbe.plan("margin", scene=COMMON, tolerance=number(1e-3), share=number(0.99))
-    assert found.margin == jaxbe.plan(
-        "margin", scene=COMMON, tolerance=1e-3, share=0.99
-    ).margin
+    found = jaxbe.plan(
+        "margin", scene=COMMON, tolerance=number(1e-3), share=number(0.99)
+    )
+    assert (
+        found.margin
+        == jaxbe.plan("margin", scene=COMMON, tolerance=1e-3, share=0.99).margin
+    )
 
 
 def test_a_plan_is_a_value():
