@@ -140,8 +140,8 @@ class Box(_Body):
     and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
     become the nearest orthonormal ones. Arrays of NumPy are copied.
 
-    Not itself a thing to optimise: a step in the entries of `axes` leaves the rotations.
-    Optimise a position and a quaternion, and build the body of them by
+    Not itself a thing to optimise: a step in the entries of `axes` leaves the
+    rotations. Optimise a position and a quaternion, and build the body of them by
     `from_quaternion` inside the function that is differentiated.
 
     Args:
@@ -173,10 +173,10 @@ class Ellipsoid(_Body):
     and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
     become the nearest orthonormal ones. Arrays of NumPy are copied.
 
-    Not itself a thing to optimise: a step in the entries of `axes` leaves the rotations,
-    and semi-axes become negative. Optimise a position and a quaternion (of lengths, the
-    logarithm), and build the body of them by `from_quaternion` inside the function that
-    is differentiated.
+    Not itself a thing to optimise: a step in the entries of `axes` leaves the
+    rotations, and semi-axes become negative. Optimise a position and a quaternion (of
+    lengths, the logarithm), and build the body of them by `from_quaternion` inside the
+    function that is differentiated.
 
     Args:
         center: (..., 3), metres, world frame.
