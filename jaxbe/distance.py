@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, maximum
 from jaxbe.closest import Closest, closest
 from jaxbe.components import (
     clip,
@@ -105,8 +106,8 @@ def distance_bounds(
     apart = jnp.sqrt(dot(between, between))
     pair = canonical_pair_again(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
-    upper = jnp.where(overlaps, -_contained_ball(pair), apart)
-    return lower, jnp.maximum(lower, upper)
+    upper = choose(overlaps, -_contained_ball(pair), apart)
+    return lower, maximum(lower, upper)
 
 
 class WitnessPoints(NamedTuple):
@@ -167,4 +168,4 @@ def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
     _, alpha = growth_bounds(pair, STEPS_A_LOOP)
     ball = smallest(pair.e) + smallest(pair.a)
-    return jnp.maximum(1 - alpha, 0) * ball / pair.per_unit
+    return maximum(1 - alpha, 0) * ball / pair.per_unit

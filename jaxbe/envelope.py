@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxbe.choice import choose
 from jaxbe.components import clip, largest, split_vector, stack, vector, with_rank
 from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
@@ -73,7 +74,7 @@ def _gradients(
     U, V = with_rank(box.axes, rank + 2), with_rank(ellipsoid.axes, rank + 2)
     a = with_rank(ellipsoid.semi_axes, rank + 1)
     K, C = (with_rank(b.center, rank + 1) for b in (ellipsoid, box))
-    safe_radius = jnp.where(radius == 0, 1, radius)
+    safe_radius = choose(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
     # Divided last: XLA makes one division of two, and would undo what keeps the factor.
@@ -83,7 +84,7 @@ def _gradients(
     if touching is not None:
         reach = instead(stack(touching), reach)
         per_a = shared(reach / a)
-        factor = jnp.where(of_radius == 0, 1, of_radius)[..., None]
+        factor = choose(of_radius == 0, 1, of_radius)[..., None]
         of_a = instead(per_a * per_a * radius[..., None] / (a * factor), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
@@ -114,7 +115,7 @@ def _on_box(
     bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
     point = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
     size, length = _largest(normal, rank), _largest(reach, rank)
-    push = normal / jnp.where(size == 0, 1, size) * length
+    push = normal / choose(size == 0, 1, size) * length
     x = clip(point + push, -bound, bound)
     return _combination(lambda i: U[..., i], split_vector(x, rank))
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxbe.components import with_rank
 from jaxbe.mjx.poses import geom_poses
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.validate import owned
 
 
 class HasGeoms(Protocol):
@@ -52,7 +53,7 @@ def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
 def bodies(ellipsoid: Any, box: Any, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
     """The bodies of geom ids, arrays of any shape: static, or one a state of data."""
     position, axes = geom_poses(model, data)
-    size = jnp.asarray(model.geom_size, position.dtype)
+    size = owned(model.geom_size, position.dtype)
     _check_same_model((ellipsoid, box), position, size)
     flat = axes.reshape(*axes.shape[:-2], 9)
 

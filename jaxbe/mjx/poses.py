@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxbe.components import dot, matrix, split_matrix, split_vector, stack, vector
 from jaxbe.shapes import rotation_matrix
 from jaxbe.types import Matrices, Vectors
+from jaxbe.validate import owned
 
 
 def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
@@ -22,8 +23,8 @@ def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
     """
     if not hasattr(data, "geom_xpos"):
         return _from_links(model, data.x)
-    position = jnp.asarray(data.geom_xpos)
-    return position, jnp.asarray(data.geom_xmat).reshape(*position.shape[:-1], 3, 3)
+    position, axes = owned(data.geom_xpos), owned(data.geom_xmat)
+    return position, axes.reshape(*position.shape[:-1], 3, 3)
 
 
 def _from_links(model: Any, x: Any) -> tuple[Vectors, Matrices]:
