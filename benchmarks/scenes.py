@@ -144,6 +144,55 @@ def axis_aligned(scene: Scene, seed: int = 3) -> Scene:
     return scene._replace(U=signed_permutations(), V=signed_permutations())
 
 
+def spheroids(scene: Scene) -> Scene:
+    """The last two semi-axes equal."""
+    return scene._replace(a=scene.a[:, [0, 1, 1]])
+
+
+def cubes(scene: Scene) -> Scene:
+    """The first half extent in all directions."""
+    return scene._replace(e=np.repeat(scene.e[:, :1], 3, axis=1))
+
+
+def equal_lengths(scene: Scene) -> Scene:
+    """The ellipsoid's semi-axes are the box's half extents."""
+    return scene._replace(a=scene.e.copy())
+
+
+def same_axes(scene: Scene) -> Scene:
+    """The ellipsoid's axes are the box's: rounding alone remains of six products."""
+    return scene._replace(V=scene.U.copy())
+
+
+def yawed(scene: Scene, seed: int = 5) -> Scene:
+    """The ellipsoid's axes are the box's, turned about the last one."""
+    half = np.random.default_rng(seed).uniform(-np.pi, np.pi, scene.size) / 2
+    zero = np.zeros_like(half)
+    turn = rotations(np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1))
+    return scene._replace(V=scene.U @ turn)
+
+
+def lattice(scene: Scene, seed: int = 6) -> Scene:
+    """Whole numbers for all lengths and centres, axes along the world's."""
+    rng = np.random.default_rng(seed)
+    e, a = (rng.integers(1, 4, (scene.size, 3)).astype(float) for _ in range(2))
+    K = rng.integers(-6, 7, (scene.size, 3)).astype(float)
+    return axis_aligned(scene._replace(C=np.zeros_like(K), K=K, e=e, a=a))
+
+
+def lattice_of_balls(scene: Scene) -> Scene:
+    """A lattice of spheres, whose own axes are not along it."""
+    return spheres(lattice(scene))._replace(V=scene.V)
+
+
+def on_planes(scene: Scene, seed: int = 7) -> Scene:
+    """The ellipsoid's centre in planes of the box's faces: one, two, three or none."""
+    k = np.einsum("nri,nr->ni", scene.U, scene.K - scene.C)
+    is_on = np.random.default_rng(seed).random(k.shape) < 0.5
+    k = np.where(is_on, np.sign(k) * scene.e, k)
+    return scene._replace(K=scene.C + np.einsum("nij,nj->ni", scene.U, k))
+
+
 def coincident(scene: Scene) -> Scene:
     """The ellipsoid centred in the box."""
     return scene._replace(K=scene.C.copy())

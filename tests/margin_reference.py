@@ -36,8 +36,23 @@ KINDS = {
     "far": lambda s: scenes.shifted(s, 1e6),
     "needles": lambda s: s._replace(a=s.a * [1, 1e-3, 1e-3]),
     "ties": lambda s: in_line_with_a_feature(scenes.axis_aligned(s)),
+    "spheroids": scenes.spheroids,
+    "same-axes": scenes.same_axes,
+    "same-axes-rods": lambda s: scenes.flattened(scenes.same_axes(s), 2),
+    "same-axes-spheroids": lambda s: scenes.spheroids(scenes.same_axes(s)),
+    "yawed": scenes.yawed,
+    "yawed-plates": lambda s: scenes.flattened(scenes.yawed(s), 1),
+    "lattice": scenes.lattice,
+    "lattice-of-balls": scenes.lattice_of_balls,
+    "on-planes": scenes.on_planes,
+    "on-planes-spheres": lambda s: scenes.on_planes(scenes.spheres(s)),
+    "on-planes-same-axes": lambda s: scenes.on_planes(scenes.same_axes(s)),
+    "cubes-and-spheres": lambda s: scenes.cubes(scenes.spheres(s)),
+    "plates-and-spheres": lambda s: scenes.flattened(scenes.spheres(s), 1),
+    "equal-lengths": scenes.equal_lengths,
+    "equal-lengths-same-axes": lambda s: scenes.equal_lengths(scenes.same_axes(s)),
 }
-"""Whatever is degenerate, on a tie or badly scaled, as a function of a scene."""
+"""Whatever is round, aligned, degenerate, on a tie or badly scaled, of a scene."""
 
 
 def in_line_with_a_feature(scene):
