@@ -33,13 +33,13 @@ class Candidates(NamedTuple):
             distance, rounding included. NaN for poses that are NaN, which come first;
             infinity where not `valid`.
         valid: (..., max_pairs), which entries are filled.
-        overflow: (...), how many of the pairs to keep had no place left. Those kept
-            have the smallest lower bounds: a pair that is left out is no nearer than
-            `distance[..., -1]`, the largest of them. As a bound may be below the
-            distance, the very nearest pair can be left out where `max_pairs` is 1, and
-            hardly ever from 2 on: the smallest exact distance of those kept, or
-            `distance[..., -1]` if that is less, is never too large. What needs every
-            pair (counting contacts, summing penalties) is incomplete.
+        overflow: (...), how many of the pairs to keep had no place left. They are no
+            nearer than `distance[..., -1]`, the largest lower bound of those kept: the
+            smaller of that and the smallest exact distance of those kept is a lower
+            bound of the nearest distance, whatever overflows. The exact one alone can
+            be too large, where the bound of an overlapping pair is too deep: in 4,000
+            states of the scene shipped with jaxbe 21 times with one place, once with
+            two, never with three. What needs every pair, a sum or a count, lacks them.
     """
 
     geom: jax.Array
@@ -64,7 +64,8 @@ def filter_contacts(
     poses and sizes given are further apart (see `jaxbe.lower_bound`), with axes that
     have drifted from orthonormal, too; or if more pairs are kept than fit, which
     `overflow` says: then those with the largest lower bounds go. A pair that cannot be
-    decided, because a number is NaN or infinite, is kept.
+    decided, because a number is NaN or infinite, is kept. So ask `~(distance >= 0)`
+    whether one may touch, not `distance < 0`, which NaN is not.
 
     Args:
         pairs: from `find_pairs`, of the same model.

@@ -25,7 +25,8 @@ def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
     """Gathers the bodies of each pair, in metres and the world frame.
 
     NaN poses pass, and it works under `jit`, `vmap` and `grad`. Poses at hand that were
-    never computed are refused; traced ones give NaN.
+    never computed are refused; traced ones give NaN. So ask `~(margin >= 0)` whether
+    bodies may touch, not `margin < 0`, which NaN is not.
 
     Args:
         pairs: from `find_pairs`, of the same model; or what `filter_contacts` left of
