@@ -10,10 +10,10 @@ episode ends, and the reward falls off before that.
 The dynamics have no contacts and no joint limits: an episode ends where a contact would
 begin, so there is none to simulate, and a step without the solver is cheap and can be
 differentiated in reverse mode, too. (With constraints that is so only where the model
-says `<option iterations="1"/>`; forward mode always is possible.) So the pairs are found
+says `<option iterations="1"/>`; in forward mode it always is.) So the pairs are found
 by the rules of the model as written, and MJX, which refuses models whose ellipsoids and
-boxes may collide, gets one whose geoms collide with nothing. (To simulate contacts, load,
-make data and step inside `jaxbe.mjx.collision_enabled` instead.)
+boxes may collide, gets one whose geoms collide with nothing. (To simulate contacts,
+load, make data and step inside `jaxbe.mjx.collision_enabled` instead.)
 """
 
 from __future__ import annotations
