@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import validate
+from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
     column,
@@ -23,9 +25,10 @@ from jaxbe.components import (
     times,
     vector,
 )
+from jaxbe.kept import kept, kept_pair
 from jaxbe.kernel import nearest
 from jaxbe.metric import metric
-from jaxbe.pose import canonical_pair
+from jaxbe.pose import batch_shape, canonical_pair, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars, Vectors
 
@@ -79,20 +82,28 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
 
     Raises:
         TypeError: arguments that are not a Box and an Ellipsoid of one dtype.
-        ValueError: batch shapes that do not broadcast.
+        ValueError: batch shapes that do not broadcast; and, for concrete bodies, values
+            that mean no body, as an optimiser may leave them: negative lengths, or axes
+            that differ from orthonormal by more than 1e-3. (See `jaxbe.checked`.)
 
     Source:
         N. J. Higham, "Accuracy and Stability of Numerical Algorithms", section 3.1.
     """
+    batch_shape(box, ellipsoid)
+    for body in (box, ellipsoid):
+        validate.check_possible(type(body).__name__, body.fields())
     pair = canonical_pair(box, ellipsoid)
     rank = pair.per_unit.ndim
     near = nearest(pair.k, pair.e, metric(pair.R, pair.a))
     e = split_vector(box.half_extents, rank)
+    given = of_all(pair)
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
+    x = (*kept_pair(x[0], x[1], given), kept(x[2], given))
     U = split_matrix(box.axes, rank)
     size = largest(_absolute(near.n))
-    n = vector(lambda i: near.n[i] / jnp.where(size > 0, size, 1))
+    n = vector(lambda i: near.n[i] / choose(size > 0, size, 1))
     w = times(U, n)
+    w = (*kept_pair(w[0], w[1], given), kept(w[2], given))
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)
@@ -118,7 +129,7 @@ class _Proof:
         # What is flushed to zero, before or after the scaling; and its square root.
         tiny = float(ROUNDINGS * info.tiny)
         lengths = (*_absolute(self.offset), *self.e, *self.a)
-        self.flushed = tiny * jnp.maximum(per_unit, 1) * (1 + _sum_of(lengths))
+        self.flushed = tiny * maximum(per_unit, 1) * (1 + _sum_of(lengths))
         self.root = float(8 * np.sqrt(info.tiny))
 
     def separates(self, w: Components) -> Flags:

@@ -17,9 +17,11 @@ from jaxbe.shapes import Box, Ellipsoid
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compiles a function that checks the values of every Box and Ellipsoid given.
 
-    The constructors check concrete values; inside `jit` bad values give NaN. This
-    wrapper finds them there too, at the price of reading the verdict back: use it
-    to search for a fault, not in production.
+    Who checks values: the constructors and `from_quaternion` those of concrete arrays;
+    `certify`, of concrete bodies, that they mean a body, however they were made; nobody
+    else, and nobody inside `jit`, where bad values give NaN or answers without a
+    meaning. This wrapper finds them there too, at the price of reading the verdict
+    back: use it to search for a fault, not in production.
 
     Args:
         function: takes pytrees with boxes and ellipsoids; bind options first, as in

@@ -50,7 +50,7 @@ def chunked(
         pairs_per_chunk: the most pairs at once, at least 1. A float32 pair takes 120
             bytes on the device, and what its result and its temporaries take.
         progress: wraps the range of chunks, to show how far they are:
-            `rich.progress.track` or `tqdm.tqdm`.
+            `rich.progress.track` or `tqdm.tqdm`. It has to yield all of them.
 
     Returns:
         A function of the same arguments (not to be called inside `jit`) and result, in
@@ -61,10 +61,10 @@ def chunked(
     Raises:
         TypeError: a function that cannot be called, or a count that is not an integer;
             from the function returned: arguments that are not a Box and an Ellipsoid of
-            one dtype, or traced ones.
+            one dtype, or traced ones, or results that are random keys.
         ValueError: a count out of range; from the function returned: batch shapes that
-            do not broadcast, arrays on the devices of other processes, or results that
-            are not of the batch shape.
+            do not broadcast, arrays on the devices of other processes, results that
+            are not of the batch shape, or chunks that `progress` left out.
     """
     if not callable(function):
         raise TypeError(f"function must be callable, got {function!r}")
@@ -166,6 +166,11 @@ def _results(
     leading = tuple(map(min, chunks.shape, chunks.batch))
     rank = len(leading)
     for x in found:
+        if not isinstance(x.dtype, np.dtype):
+            raise TypeError(
+                f"function must return arrays that NumPy has, got {x.dtype}: of random "
+                "keys return jax.random.key_data"
+            )
         if x.shape[:rank] != leading:
             raise ValueError(
                 "function must return arrays whose leading axes are the batch shape: "
@@ -190,7 +195,9 @@ def _run(
 ) -> None:
     """Fills the rooms. JAX returns before a chunk is computed; fetching it waits."""
     sent: deque[tuple[Shape, Any]] = deque()
+    left = set(range(chunks.total()))
     for number in progress(range(chunks.total())):
+        left.discard(number)
         start = chunks.start(number)
         # Never named here: an array that has a name stays on the device.
         sent.append((start, compiled(*_send(bodies, chunks, start))))
@@ -198,6 +205,12 @@ def _run(
             _fetch(*sent.popleft(), chunks, rooms)
     while sent:
         _fetch(*sent.popleft(), chunks, rooms)
+    if left:
+        raise ValueError(
+            "progress must yield every number of the range that it is given, but "
+            f"{len(left)} of {chunks.total()} chunks are missing, the first one "
+            f"{min(left)}"
+        )
 
 
 def _send(bodies: tuple[Body, Body], chunks: _Chunks, start: Shape) -> Any:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe.choice import choose
 from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_direction, shared
@@ -58,7 +59,7 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     F, length = depth(search(pair), u)
     n = vector(lambda i: shared(u[i] / shared(length)))
     distance = -F / length / pair.per_unit
-    return Closest(n, jnp.where(_is_too_far(pair), jnp.nan, distance))
+    return Closest(n, choose(_is_too_far(pair), jnp.nan, distance))
 
 
 @closest.defjvp

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxbe.choice import choose, maximum, minimum
 from jaxbe.types import (
     ComponentMatrix,
     Components,
@@ -66,12 +67,12 @@ def column(m: ComponentMatrix, j: int) -> Components:
 
 def largest(x: Components) -> Scalars:
     """The largest component; NaN if one is NaN."""
-    return jnp.maximum(jnp.maximum(x[0], x[1]), x[2])
+    return maximum(maximum(x[0], x[1]), x[2])
 
 
 def smallest(x: Components) -> Scalars:
     """The smallest component; NaN if one is NaN."""
-    return jnp.minimum(jnp.minimum(x[0], x[1]), x[2])
+    return minimum(minimum(x[0], x[1]), x[2])
 
 
 def is_zero(x: Components) -> Flags:
@@ -85,13 +86,13 @@ def times(m: ComponentMatrix, x: Components) -> Components:
 
 
 def where(condition: Flags, x: Components, y: Components) -> Components:
-    """Componentwise `jnp.where`."""
-    return vector(lambda i: jnp.where(condition, x[i], y[i]))
+    """Componentwise `choose`."""
+    return vector(lambda i: choose(condition, x[i], y[i]))
 
 
 def clip(x: Scalars | float, low: Scalars, high: Scalars) -> Scalars:
     """Restricts x to [low, high]; NaN stays NaN."""
-    return jnp.maximum(low, jnp.minimum(x, high))
+    return maximum(low, minimum(x, high))
 
 
 def with_rank(x: jax.Array, rank: int) -> jax.Array:

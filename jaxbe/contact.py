@@ -58,8 +58,9 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
         ValueError: as `signed_distance`.
     """
     steps = as_count("steps", steps, 1, MAX_STEPS)
-    n, distance = closest(box, ellipsoid, steps)
-    x, d = witness_points(box, ellipsoid, n)
+    found = closest(box, ellipsoid, steps)
+    n, distance = found
+    x, d = witness_points(box, ellipsoid, found)
     on_box, on_ellipsoid = _from_center(box, _turned(box, x)), _from_center(box, d)
     return Contact(
         distance=distance,

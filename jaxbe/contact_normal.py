@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxbe.choice import choose
 from jaxbe.components import column, dot, is_zero, largest, times, vector, where
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import active_inverse, metric
@@ -61,7 +62,7 @@ def _contact_normal_jvp(primals: Any, tangents: Any) -> Any:
     n, _ = _multipliers(pair, near)
     d_n = _multipliers_tangent(primals, tangents, near)
     # A face normal stays where it is.
-    d_n = vector(lambda i: jnp.where(is_zero(near.n), 0, d_n[i]))
+    d_n = vector(lambda i: choose(is_zero(near.n), 0, d_n[i]))
     size = largest(vector(lambda i: abs(n[i])))
     _, tangent = jax.jvp(
         _scaled,
@@ -83,8 +84,8 @@ def _multipliers(pair: CanonicalPair, near: Nearest) -> tuple[Components, Scalar
     face = _face_normal(pair, width)
     on_face = dot(vector(lambda i: abs(face[i])), width)
     # Of a free coordinate nothing but rounding can be left.
-    n = vector(lambda i: jnp.where(near.active[i], near.n[i], 0))
-    return where(lost, face, n), jnp.where(lost, on_face, jnp.sqrt(near.q))
+    n = vector(lambda i: choose(near.active[i], near.n[i], 0))
+    return where(lost, face, n), choose(lost, on_face, jnp.sqrt(near.q))
 
 
 def _multipliers_tangent(primals: Any, tangents: Any, near: Nearest) -> Components:
@@ -104,8 +105,8 @@ def _multipliers_tangent(primals: Any, tangents: Any, near: Nearest) -> Componen
             - d_Sn[i]
         )
     )
-    right = vector(lambda i: jnp.where(near.active[i], right[i], 0))
-    return vector(lambda i: jnp.where(near.active[i], dot(inverse[i], right), 0))
+    right = vector(lambda i: choose(near.active[i], right[i], 0))
+    return vector(lambda i: choose(near.active[i], dot(inverse[i], right), 0))
 
 
 def _scaled(pair: CanonicalPair, n: Components) -> ContactNormal:
@@ -134,5 +135,5 @@ def _face_normal(pair: CanonicalPair, width: Components) -> Components:
     first = beats(0, 1) & beats(0, 2)
     second = ~first & beats(1, 2)
     chosen = (first, second, ~first & ~second)
-    sign = vector(lambda i: jnp.where(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype))
-    return vector(lambda i: jnp.where(chosen[i], sign[i], 0))
+    sign = vector(lambda i: choose(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype))
+    return vector(lambda i: choose(chosen[i], sign[i], 0))

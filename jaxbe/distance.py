@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxbe.closest import closest
+from jaxbe.choice import choose, maximum
+from jaxbe.closest import Closest, closest
 from jaxbe.components import (
     clip,
     column,
@@ -97,15 +98,16 @@ def distance_bounds(
         ValueError: as `signed_distance`.
     """
     steps = as_count("steps", steps, 1, MAX_STEPS)
-    n, lower = closest(box, ellipsoid, steps)
-    on_box, on_ellipsoid = witness_points(box, ellipsoid, n)
+    found = closest(box, ellipsoid, steps)
+    lower = found.distance
+    on_box, on_ellipsoid = witness_points(box, ellipsoid, found)
     y = vector(lambda i: _along_axis(box, on_ellipsoid, i))
     between = vector(lambda i: on_box[i] - y[i])
     apart = jnp.sqrt(dot(between, between))
     pair = canonical_pair_again(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
-    upper = jnp.where(overlaps, -_contained_ball(pair), apart)
-    return lower, jnp.maximum(lower, upper)
+    upper = choose(overlaps, -_contained_ball(pair), apart)
+    return lower, maximum(lower, upper)
 
 
 class WitnessPoints(NamedTuple):
@@ -121,19 +123,20 @@ class WitnessPoints(NamedTuple):
     on_ellipsoid: Components
 
 
-def witness_points(box: Box, ellipsoid: Ellipsoid, n: Components) -> WitnessPoints:
-    """The points of the box and of the ellipsoid that are extreme along n.
+def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoints:
+    """The ellipsoid's point that is extreme along n, and the box's opposite to it.
 
-    Where n_i is zero the box's point is free in this coordinate: the nearest one to
-    the ellipsoid's is taken.
+    Their difference is -distance n at a minimum, where the first plus that is on the
+    box. Elsewhere it is the nearest point of the box that is taken. No sign of a
+    component of n enters, which is chance where the component is zero to rounding.
     """
+    n, distance = found
     reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)
     d = _offset(box, ellipsoid, reach)
     e = split_vector(box.half_extents, n[0].ndim)
 
     def coordinate(i: int) -> Scalars:
-        free = clip(_along_axis(box, d, i), -e[i], e[i])
-        return jnp.where(n[i] == 0, free, jnp.sign(n[i]) * e[i])
+        return clip(_along_axis(box, d, i) - distance * n[i], -e[i], e[i])
 
     x = vector(coordinate)
     return WitnessPoints((*kept_pair(x[0], x[1], d[2]), kept(x[2], d[2])), d)
@@ -165,4 +168,4 @@ def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
     _, alpha = growth_bounds(pair, STEPS_A_LOOP)
     ball = smallest(pair.e) + smallest(pair.a)
-    return jnp.maximum(1 - alpha, 0) * ball / pair.per_unit
+    return maximum(1 - alpha, 0) * ball / pair.per_unit

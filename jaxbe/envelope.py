@@ -19,7 +19,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbe.components import split_vector, stack, with_rank
+from jaxbe.choice import choose
+from jaxbe.components import clip, largest, split_vector, stack, vector, with_rank
 from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars
@@ -73,7 +74,7 @@ def _gradients(
     U, V = with_rank(box.axes, rank + 2), with_rank(ellipsoid.axes, rank + 2)
     a = with_rank(ellipsoid.semi_axes, rank + 1)
     K, C = (with_rank(b.center, rank + 1) for b in (ellipsoid, box))
-    safe_radius = jnp.where(radius == 0, 1, radius)
+    safe_radius = choose(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
     # Divided last: XLA makes one division of two, and would undo what keeps the factor.
@@ -83,12 +84,12 @@ def _gradients(
     if touching is not None:
         reach = instead(stack(touching), reach)
         per_a = shared(reach / a)
-        factor = jnp.where(of_radius == 0, 1, of_radius)[..., None]
+        factor = choose(of_radius == 0, 1, of_radius)[..., None]
         of_a = instead(per_a * per_a * radius[..., None] / (a * factor), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
-        arm = instead(_on_box(box, normal, of_extent, arm), arm)
+        arm = instead(_on_box(box, normal, of_extent, arm, reach), arm)
     return (
         -world,
         arm[..., :, None] * normal[..., None, :],
@@ -100,18 +101,28 @@ def _gradients(
 
 
 def _on_box(
-    box: Box, normal: jax.Array, of_extent: Scalars, arm: jax.Array
+    box: Box, normal: jax.Array, of_extent: Scalars, arm: jax.Array, reach: jax.Array
 ) -> jax.Array:
     """The touching point from the box's centre, in world axes: exact where on a bound.
 
-    Far from each other, the bodies' centres have not its digits.
+    Far from each other, the bodies' centres have not its digits: the point is pushed
+    along the normal, as far as to the ellipsoid's centre, and stops at the bounds. A
+    component of the normal that is zero but for rounding, of either sign, pushes it by
+    rounding.
     """
     rank = of_extent.ndim
     U = with_rank(box.axes, rank + 2)
     bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
-    free = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
-    x = jnp.where(normal == 0, free, jnp.sign(normal) * bound)
+    point = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
+    size, length = _largest(normal, rank), _largest(reach, rank)
+    push = normal / choose(size == 0, 1, size) * length
+    x = clip(point + push, -bound, bound)
     return _combination(lambda i: U[..., i], split_vector(x, rank))
+
+
+def _largest(x: jax.Array, rank: int) -> jax.Array:
+    """The largest size of a component, (..., 1)."""
+    return largest(vector(lambda i: abs(split_vector(x, rank)[i])))[..., None]
 
 
 @jax.custom_jvp

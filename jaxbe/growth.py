@@ -32,7 +32,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from jaxbe.choice import choose, maximum, minimum
 from jaxbe.components import dot, is_zero, largest, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
 from jaxbe.envelope import directional_derivative
@@ -54,6 +56,10 @@ again by each: eight steps run a thousand times slower. What precedes is a loop 
 own (see `jaxbe.kept`), in other units, or else XLA would look for what both share."""
 
 
+FEASIBLE_ROUNDINGS = 8
+"""In `_feasible`, more than the roundings of each term, in units of eps."""
+
+
 class Iterate(NamedTuple):
     """Where the iteration is: a trial value, and bounds that hold regardless."""
 
@@ -70,7 +76,7 @@ def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
         iterate = _more_steps(iterate, in_other_units(pair, 4), STEPS_A_LOOP)
     else:
         iterate = _first_steps(pair, steps)
-    return iterate.lower, jnp.maximum(iterate.lower, iterate.upper)
+    return iterate.lower, maximum(iterate.lower, iterate.upper)
 
 
 def growth_estimate(pair: CanonicalPair, steps: int) -> Scalars:
@@ -149,7 +155,7 @@ def _kept_contact(
 def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     n, radius = contact_normal(pair, alpha)
     here = is_zero(pair.k)
-    metres = vector(lambda i: jnp.where(here, 0, n[i] * pair.per_unit))
+    metres = vector(lambda i: choose(here, 0, n[i] * pair.per_unit))
     return ContactNormal(metres, radius)
 
 
@@ -168,9 +174,9 @@ def step(iterate: Iterate, pair: CanonicalPair, m: Metric) -> Iterate:
     """One evaluation of the kernel: better bounds, and the next trial value."""
     alpha = iterate.trial
     near = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m)
-    lower = jnp.maximum(iterate.lower, _newton(alpha, near, pair.e))
-    upper = jnp.minimum(iterate.upper, _feasible(alpha, near, pair.e, m))
-    trial = jnp.maximum(lower, _parabola_root(alpha, near, pair.e, m))
+    lower = maximum(iterate.lower, _newton(alpha, near, pair.e))
+    upper = minimum(iterate.upper, _feasible(alpha, near, pair.e, m))
+    trial = maximum(lower, _parabola_root(alpha, near, pair.e, m))
     return Iterate(trial, lower, upper)
 
 
@@ -180,7 +186,7 @@ def _newton(alpha: Scalars, near: Nearest, e: Components) -> Scalars:
     root = jnp.sqrt(near.q)
     total = reach + root
     lost = total == 0
-    return jnp.where(lost, alpha, (near.q + alpha * reach) / jnp.where(lost, 1, total))
+    return choose(lost, alpha, (near.q + alpha * reach) / choose(lost, 1, total))
 
 
 def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalars:
@@ -190,14 +196,14 @@ def _parabola_root(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> S
     """
     n = near.n
     inverse = active_inverse(near.active, m)
-    side = vector(lambda i: jnp.where(near.active[i], jnp.sign(n[i]) * e[i], 0))
+    side = vector(lambda i: choose(near.active[i], jnp.sign(n[i]) * e[i], 0))
     curvature = dot(side, vector(lambda i: dot(inverse[i], side)))
     b = alpha + extent(n, e)
     c = near.q - alpha * alpha
-    discriminant = jnp.maximum(b * b + (1 - curvature) * c, 0)
+    discriminant = maximum(b * b + (1 - curvature) * c, 0)
     total = b + jnp.sqrt(discriminant)
     lost = total == 0
-    return alpha + jnp.where(lost, 0, c / jnp.where(lost, 1, total))
+    return alpha + choose(lost, 0, c / choose(lost, 1, total))
 
 
 def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalars:
@@ -207,14 +213,22 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     so as well if q - 2 rho alpha E + rho^2 x^T N x <= alpha^2 (1 + rho)^2. Without a
     real root there remains max(alpha, sqrt(q)).
 
+    Where x and the centre lie almost in one direction, as between two needles, that sum
+    cancels: what rounding may hide of it is added to the right side, whatever rho is.
+
     Written for one loop: no root with two uses, nothing compared with a quotient.
     """
-    square = alpha * alpha
-    b = alpha * (alpha + extent(near.n, e))
+    square, reach = alpha * alpha, extent(near.n, e)
+    size = squared_length(near.x, m)
+    b = alpha * (alpha + reach)
     c = near.q - square
-    discriminant = b * b + (square - squared_length(near.x, m)) * c
-    total = b + jnp.sqrt(jnp.maximum(discriminant, 0))
+    discriminant = b * b + (square - size) * c
+    total = b + jnp.sqrt(maximum(discriminant, 0))
     usable = (discriminant >= 0) & (total > 0) & (c > -total)
-    rho = c / jnp.where(usable, total, 1)
-    simple = jnp.sqrt(jnp.maximum(square, near.q))
-    return jnp.where(usable, jnp.minimum(simple, alpha * (1 + rho)), simple)
+    rho = c / choose(usable, total, 1)
+    terms = near.q + rho * rho * size + 2 * abs(rho) * (alpha * reach)
+    hidden = FEASIBLE_ROUNDINGS * float(np.finfo(alpha.dtype).eps) * terms
+    grown = alpha * (1 + rho)
+    simple = maximum(square, near.q)
+    better = minimum(simple, grown * grown + hidden)
+    return jnp.sqrt(choose(usable, better, simple))

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxbe.choice import choose, maximum, minimum
 from jaxbe.types import Components, Scalars
 
 
@@ -54,7 +55,7 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
 
 def kept_from(x: Scalars, given: Scalars) -> Scalars:
     """The array x, kept even if only one loop uses it (`kept` leaves it to that)."""
-    return jnp.minimum(*kept_pair(x, x, given))
+    return minimum(*kept_pair(x, x, given))
 
 
 def kept_direction(u: Components, given: Scalars) -> Components:
@@ -67,20 +68,20 @@ def kept_direction(u: Components, given: Scalars) -> Components:
     size = [abs(x) for x in u]
     is_first = (size[0] >= size[1]) & (size[0] >= size[2])
     is_last = ~is_first & (size[2] > size[1])
-    held = jnp.where(is_first, u[0], jnp.where(is_last, u[2], u[1]))
-    x = _not_zero(shared(jnp.where(is_first, u[1], u[0]) / held), least)
-    y = _not_zero(shared(jnp.where(is_last, u[1], u[2]) / held), least)
-    x = x * jnp.where(is_first, 1, jnp.where(is_last, step * step, step))
-    x, y = kept_pair(x, y * jnp.where(held < 0, step, 1), given)
+    held = choose(is_first, u[0], choose(is_last, u[2], u[1]))
+    x = _not_zero(shared(choose(is_first, u[1], u[0]) / held), least)
+    y = _not_zero(shared(choose(is_last, u[1], u[2]) / held), least)
+    x = x * choose(is_first, 1, choose(is_last, step * step, step))
+    x, y = kept_pair(x, y * choose(held < 0, step, 1), given)
     is_first, is_last = abs(x) < 16, abs(x) > 16 * step
-    sign = jnp.where(abs(y) < 16, 1, -1).astype(y.dtype)
-    x = x * jnp.where(is_first, 1, jnp.where(is_last, 1 / (step * step), 1 / step))
+    sign = choose(abs(y) < 16, 1, -1).astype(y.dtype)
+    x = x * choose(is_first, 1, choose(is_last, 1 / (step * step), 1 / step))
     x = sign * _or_zero(x, least)
-    y = sign * _or_zero(y * jnp.where(sign < 0, 1 / step, 1), least)
+    y = sign * _or_zero(y * choose(sign < 0, 1 / step, 1), least)
     return (
-        jnp.where(is_first, sign, x),
-        jnp.where(is_first, x, jnp.where(is_last, y, sign)),
-        jnp.where(is_last, sign, y),
+        choose(is_first, sign, x),
+        choose(is_first, x, choose(is_last, y, sign)),
+        choose(is_last, sign, y),
     )
 
 
@@ -90,21 +91,21 @@ def _exponents(given: Scalars) -> tuple[float, float]:
 
 
 def _not_zero(x: Scalars, least: float) -> Scalars:
-    return jnp.where(abs(x) < least, least / 4, x)
+    return choose(abs(x) < least, least / 4, x)
 
 
 def _or_zero(x: Scalars, least: float) -> Scalars:
-    return jnp.where(abs(x) < least, 0, x)
+    return choose(abs(x) < least, 0, x)
 
 
 def _finite(x: Scalars) -> Scalars:
     most = np.asarray(np.finfo(x.dtype).max, x.dtype)
-    return jnp.maximum(-most, jnp.minimum(x, most))
+    return maximum(-most, minimum(x, most))
 
 
 def opaque_one(given: Scalars) -> Scalars:
     """1, in a way that the compiler does not see through."""
-    return jnp.where(given == given, 1, jnp.nan).astype(given.dtype)
+    return choose(given == given, 1, jnp.nan).astype(given.dtype)
 
 
 def shared(x: Scalars) -> Scalars:
@@ -113,4 +114,4 @@ def shared(x: Scalars) -> Scalars:
     XLA gives those a loop of their own, and with them all that is used both before and
     after. A cheap operation on top of it may be repeated, and keeps the loop in one.
     """
-    return jnp.maximum(x, np.asarray(np.finfo(x.dtype).min, x.dtype))
+    return maximum(x, np.asarray(np.finfo(x.dtype).min, x.dtype))

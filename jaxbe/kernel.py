@@ -22,8 +22,7 @@ import functools
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
+from jaxbe.choice import choose, minimum
 from jaxbe.components import clip, vector, where
 from jaxbe.metric import Metric
 from jaxbe.types import Components, Flags, Scalars
@@ -92,7 +91,7 @@ def candidates(k: Components, e: Components, m: Metric) -> Iterator[Candidate]:
 
 def squared_distance(k: Components, e: Components, m: Metric) -> Scalars:
     """q(k, e): the smallest of the candidates' values."""
-    return functools.reduce(jnp.minimum, (c.q for c in candidates(k, e, m)))
+    return functools.reduce(minimum, (c.q for c in candidates(k, e, m)))
 
 
 def nearest(k: Components, e: Components, m: Metric) -> Nearest:
@@ -111,8 +110,8 @@ def nearest(k: Components, e: Components, m: Metric) -> Nearest:
         key = c.q + _gap(c, n, low, high)
         better = key < best[0]
         best = (
-            jnp.where(better, key, best[0]),
-            jnp.where(better, c.q, best[1]),
+            choose(better, key, best[0]),
+            choose(better, c.q, best[1]),
             where(better, c.d, best[2]),
             where(better, n, best[3]),
         )
@@ -137,7 +136,7 @@ def _gap(c: Candidate, n: Components, low: Components, high: Components) -> Scal
     i, j, _ = c.order
 
     def slack(p: int) -> Scalars:
-        return n[p] * (jnp.where(n[p] < 0, low[p], high[p]) - c.d[p])
+        return n[p] * (choose(n[p] < 0, low[p], high[p]) - c.d[p])
 
     return slack(i) + slack(j)
 

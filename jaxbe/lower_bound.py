@@ -39,6 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
     column,
@@ -115,7 +116,7 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
     pair = canonical_pair(box, ellipsoid)
     world = _world(box, ellipsoid, pair)
     bound = (_best(world, pair, steps).distance - _slack(world)) / pair.per_unit
-    return jnp.where(_has_usable_axes(world), bound, jnp.nan)
+    return choose(_has_usable_axes(world), bound, jnp.nan)
 
 
 @distance_lower_bound.defjvp
@@ -157,13 +158,13 @@ def _best(world: World, pair: CanonicalPair, steps: int) -> Along:
     first = _along(world, toward)
     if not steps:
         return first
-    mu = shared(jnp.maximum(first.distance, 0) * first.radius)
+    mu = shared(maximum(first.distance, 0) * first.radius)
     second = _along(world, _scaled(_kernel_normal(pair, mu, steps), toward))
     better = second.distance > first.distance
     return Along(
         where(better, second.n, first.n),
-        jnp.maximum(second.distance, first.distance),
-        jnp.where(better, second.radius, first.radius),
+        maximum(second.distance, first.distance),
+        choose(better, second.radius, first.radius),
     )
 
 
@@ -196,8 +197,8 @@ def _nearest_face(k: Components, e: Components) -> Components:
     first = (depth[0] <= depth[1]) & (depth[0] <= depth[2])
     second = ~first & (depth[1] <= depth[2])
     chosen = (first, second, ~first & ~second)
-    sign = vector(lambda i: jnp.where(k[i] < 0, -1, 1).astype(k[i].dtype))
-    return vector(lambda i: jnp.where(chosen[i], sign[i], 0))
+    sign = vector(lambda i: choose(k[i] < 0, -1, 1).astype(k[i].dtype))
+    return vector(lambda i: choose(chosen[i], sign[i], 0))
 
 
 def _kernel_normal(pair: CanonicalPair, mu: Scalars, steps: int) -> Components:

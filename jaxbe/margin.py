@@ -11,7 +11,7 @@ from jaxbe.kept import kept_pair
 from jaxbe.pose import canonical_pair, of_all
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
-from jaxbe.validate import as_count
+from jaxbe.validate import DTYPES, as_count, as_number
 
 DEFAULT_STEPS = 5
 
@@ -139,9 +139,16 @@ def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) ->
         The slack, dimensionless.
 
     Raises:
-        ValueError: an aspect ratio below one.
+        TypeError: another dtype, or what is not a number.
+        ValueError: an aspect ratio below one, or an error below zero.
     """
-    if not aspect_ratio >= 1:
+    if str(np.dtype(dtype)) not in DTYPES:
+        raise TypeError(f"dtype must be {' or '.join(DTYPES)}, got {np.dtype(dtype)}")
+    ratio = as_number("aspect_ratio", aspect_ratio)
+    error = as_number("axes_error", axes_error)
+    if not ratio >= 1:
         raise ValueError(f"aspect_ratio must be at least 1, got {aspect_ratio}")
-    roundings = ARITHMETIC_ROUNDINGS + AXES_ROUNDINGS * axes_error
-    return roundings * float(np.finfo(dtype).eps) * float(aspect_ratio)
+    if not error >= 0:
+        raise ValueError(f"axes_error must not be negative, got {axes_error}")
+    roundings = ARITHMETIC_ROUNDINGS + AXES_ROUNDINGS * error
+    return roundings * float(np.finfo(dtype).eps) * ratio

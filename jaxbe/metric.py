@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose
 from jaxbe.components import dot, matrix, vector
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
@@ -132,13 +133,11 @@ def active_inverse(active: tuple[Flags, Flags, Flags], m: Metric) -> ComponentMa
         others = [p for p in range(3) if p not in (i, j)]
         if i == j:
             j, l = others
-            both = jnp.where(active[l], m.point[i], m.line[j][l])
-            return jnp.where(
-                active[j], both, jnp.where(active[l], m.line[l][j], m.plane[i])
-            )
+            both = choose(active[l], m.point[i], m.line[j][l])
+            return choose(active[j], both, choose(active[l], m.line[l][j], m.plane[i]))
         (l,) = others
         alone = -m.in_plane[j][i] * m.line[i][l]
-        return jnp.where(active[l], m.on_line[i][j] * m.point[i], alone)
+        return choose(active[l], m.on_line[i][j] * m.point[i], alone)
 
     return matrix(lambda i, j: entry(min(i, j), max(i, j)))
 

@@ -26,6 +26,7 @@ from collections.abc import Iterator
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose
 from jaxbe.components import matrix, vector
 from jaxbe.metric import Metric
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
@@ -45,7 +46,7 @@ def overlaps(k: Components, e: Components, m: Metric) -> Flags:
     Returns:
         True when they overlap or touch, and when a number is NaN.
     """
-    octant = vector(lambda i: jnp.where(k[i] < 0, -1, 1).astype(k[i].dtype))
+    octant = vector(lambda i: choose(k[i] < 0, -1, 1).astype(k[i].dtype))
     k = vector(lambda i: abs(k[i]))
     m = m._replace(
         in_plane=_reflect(m.in_plane, octant), on_line=_reflect(m.on_line, octant)

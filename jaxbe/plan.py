@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from jaxbe.plan_sample import Sample
 from jaxbe.plan_table import Measured, frontier, lines
 from jaxbe.scene_facts import SceneFacts
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.validate import as_number
 
 Output = Literal["overlap", "margin", "signed_distance", "contact", "filter_contacts"]
 DType = Literal["float32", "float64"]
@@ -80,7 +80,7 @@ class Plan:
     """Settings, by the functions asked for, as their keyword arguments.
 
     `jaxbe.margin(box, ellipsoid, **plan.margin)`; None for what was not asked for.
-    Printed it says why.
+    Printed it says why; `dataclasses.asdict` of it is what `json.dumps` takes.
 
     Attributes:
         dtype: of the poses and sizes: "float32" or "float64".
@@ -102,6 +102,9 @@ class Plan:
     filter_contacts: Keywords | None = None
     drop_above: float | None = None
     why: tuple[str, ...] = ()
+
+    def __hash__(self) -> int:
+        return hash((self.dtype, self.drop_above, self.why))
 
     def __str__(self) -> str:
         return "\n".join((f"{self.dtype}:", *(f"  {line}" for line in self.why)))
@@ -159,16 +162,18 @@ def plan(
 
     Raises:
         TypeError: a scene that is not a SceneFacts, a sample that is not a pair of
-            bodies, or neither.
+            bodies, or neither; a tolerance or share that is not a number.
         ValueError: no or unknown outputs, or another dtype or share; a tolerance that
             no setting reaches, or a spread beyond the table's (of "overlap" there is
             none): the message says what is the least. A sample that is too small, or
             without a tolerance, or for a share of 1, which none can tell.
     """
+    share = _known_share(share)
+    tolerance = None if tolerance is None else as_number("tolerance", tolerance)
     pairs = _measured(sample, share, tolerance)
     if pairs and scene is None and not never_miss:
         scene = pairs.facts
-    _check(outputs, scene, dtype, share, tolerance, gradients, never_miss)
+    _check(outputs, scene, dtype, tolerance, gradients, never_miss)
     assert scene is not None
     ask = _Ask(scene, pairs, gradients, tolerance, share, never_miss)
     names = tuple(dict.fromkeys(ask.answered_by(name) for name in outputs))
@@ -200,6 +205,15 @@ class _Ask(NamedTuple):
         return name == "filter_contacts" or (name == "margin" and self.never_miss)
 
 
+def _known_share(share: Any) -> float:
+    """The share of the table that is meant, also by a number of few digits."""
+    given = as_number("share", share)
+    for known in SHARES:
+        if math.isclose(given, known, rel_tol=1e-6):
+            return known
+    raise ValueError(f"share must be one of {', '.join(map(str, SHARES))}, got {share}")
+
+
 def _measured(sample: Any, share: float, tolerance: float | None) -> Sample | None:
     if sample is None:
         return None
@@ -217,8 +231,7 @@ def _check(
     outputs: tuple[str, ...],
     scene: Any,
     dtype: Any,
-    share: Any,
-    tolerance: Any,
+    tolerance: float | None,
     gradients: bool,
     never_miss: bool,
 ) -> None:
@@ -231,8 +244,6 @@ def _check(
             raise ValueError(f"outputs must be of {known}; got {name!r}")
     if dtype not in (None, "float32", "float64"):
         raise ValueError(f"dtype must be 'float32' or 'float64', got {dtype!r}")
-    if share not in SHARES:
-        raise ValueError(f"share must be one of {', '.join(map(str, SHARES))}")
     if gradients and never_miss and {"margin", "overlap"} & set(outputs):
         raise ValueError("a margin that may miss no pair is a filter: no gradients")
     if tolerance is not None and not tolerance > 0:
@@ -243,7 +254,7 @@ def _choose(name: str, dtype: DType, ask: _Ask) -> _Row | None:
     """The cheapest row that is accurate enough."""
     limit = _limit(name, dtype, ask)
     # Beyond the table the error is infinite, and so is twice the least one.
-    good = (row for row in _rows(name, dtype, ask) if row.error <= limit < float("inf"))
+    good = (row for row in _rows(name, dtype, ask) if math.inf > row.error <= limit)
     return next(good, None)
 
 
@@ -267,8 +278,7 @@ def _rows(name: str, dtype: DType, ask: _Ask) -> Iterator[_Row]:
         if row.dtype == dtype and row.gradients == with_gradients
     ]
     for row in sorted(table, key=lambda row: row.nanoseconds):
-        keywords = MappingProxyType(row.keywords)
-        yield _Row(keywords, dtype, row.nanoseconds, _error(name, row, ask))
+        yield _Row(dict(row.keywords), dtype, row.nanoseconds, _error(name, row, ask))
 
 
 def _with_gradients(name: str, ask: _Ask) -> bool:

@@ -156,7 +156,7 @@ def batch_shape(box: Box, ellipsoid: Ellipsoid) -> tuple[int, ...]:
             f"box and ellipsoid must have one dtype, got {dtypes[0]} and {dtypes[1]}"
         )
     try:
-        return np.broadcast_shapes(*shapes)
+        return lax.broadcast_shapes(*shapes)
     except ValueError:
         raise ValueError(
             "the batch shapes of box and ellipsoid must broadcast, "

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe import kernel
+from jaxbe.choice import choose
 from jaxbe.components import vector
 from jaxbe.envelope import directional_derivative
 from jaxbe.kept import kept, kept_pair
@@ -87,9 +88,7 @@ def _normal(pair: CanonicalPair) -> Components:
     inside = near.q == 0
     s = s / pair.per_unit
     return vector(
-        lambda i: jnp.where(
-            inside | ~near.active[i], 0, near.n[i] / jnp.where(inside, 1, s)
-        )
+        lambda i: choose(inside | ~near.active[i], 0, near.n[i] / choose(inside, 1, s))
     )
 
 

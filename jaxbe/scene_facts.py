@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxbe.pose import batch_shape
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.validate import as_number
 
 SAME = 1e-6
 """Semi-axes that differ by less, relatively, are those of a sphere."""
@@ -32,13 +33,14 @@ class SceneFacts:
     spheres: bool = False
 
     def __post_init__(self) -> None:
-        if not self.spread >= 1:
+        spread = as_number("spread", self.spread)
+        if not spread >= 1:
             raise ValueError(f"spread must be at least 1, got {self.spread}")
-        typical = self.spread if self.upper_spread is None else self.upper_spread
-        if not 1 <= typical <= self.spread:
-            raise ValueError(
-                f"upper_spread must be from 1 to {self.spread}, got {typical}"
-            )
+        given = spread if self.upper_spread is None else self.upper_spread
+        typical = as_number("upper_spread", given)
+        if not 1 <= typical <= spread:
+            raise ValueError(f"upper_spread must be from 1 to {spread}, got {typical}")
+        object.__setattr__(self, "spread", spread)
         object.__setattr__(self, "upper_spread", typical)
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, maximum, minimum
 from jaxbe.components import dot, largest, times, vector
 from jaxbe.kept import kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
@@ -67,7 +68,7 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
         mu, low = kept_pair(bracket.mu, bracket.low, of_all(pair))
         pair = in_other_units(pair, 0.5)
         per_square /= 4
-        resumed = Bracket(mu / 4, low / 4, jnp.where(mu > 0, _highest(pair), 0))
+        resumed = Bracket(mu / 4, low / 4, choose(mu > 0, _highest(pair), 0))
         bracket = _advance(resumed, pair, STEPS_A_LOOP)
     return bracket.mu / per_square
 
@@ -97,9 +98,9 @@ def _start(pair: CanonicalPair) -> Bracket:
     # n of length s = 1: its square as it stands leaves the floats, far from a plate.
     per_radius = shared(1 / _positive(at.radius))
     n = vector(lambda i: at.near.n[i] * per_radius)
-    mu = jnp.maximum(at.radius - 1, 0) / _positive(dot(n, n))
-    high = jnp.where(at.near.q > 1, _highest(pair), zero)
-    return Bracket(jnp.minimum(mu, high), zero, high)
+    mu = maximum(at.radius - 1, 0) / _positive(dot(n, n))
+    high = choose(at.near.q > 1, _highest(pair), zero)
+    return Bracket(minimum(mu, high), zero, high)
 
 
 def _highest(pair: CanonicalPair) -> Scalars:
@@ -119,21 +120,21 @@ def _step(bracket: Bracket, pair: CanonicalPair, form: Shape) -> Bracket:
     mu = bracket.mu
     at = trial(pair, form, mu)
     further = at.radius > 1
-    low = jnp.where(further, mu, bracket.low)
-    high = jnp.where(further, bracket.high, mu)
+    low = choose(further, mu, bracket.low)
+    high = choose(further, bracket.high, mu)
     n, active = at.near.n, at.near.active
     inverse = active_inverse(active, at.metric)
-    held = vector(lambda i: jnp.where(active[i], n[i], 0))
+    held = vector(lambda i: choose(active[i], n[i], 0))
     slope = dot(
-        vector(lambda i: jnp.where(active[i], at.support[i], 0)), times(inverse, held)
+        vector(lambda i: choose(active[i], at.support[i], 0)), times(inverse, held)
     )
     rise = at.radius * at.radius * (at.radius - 1)
     # Both sides times the slope, so that nothing is compared with a quotient.
     inside = (rise >= (low - mu) * slope) & (rise <= (high - mu) * slope)
-    middle = jnp.sqrt(jnp.maximum(low * high, high * high * 1e-12))
-    proposed = mu + rise / _positive(jnp.where(inside, slope, 1))
-    return Bracket(jnp.where(inside, proposed, middle), low, high)
+    middle = jnp.sqrt(maximum(low * high, high * high * 1e-12))
+    proposed = mu + rise / _positive(choose(inside, slope, 1))
+    return Bracket(choose(inside, proposed, middle), low, high)
 
 
 def _positive(x: Scalars) -> Scalars:
-    return jnp.where(x > 0, x, 1)
+    return choose(x > 0, x, 1)

@@ -40,7 +40,7 @@ class _Body:
 
         Args:
             center: (..., 3), metres, world frame.
-            wxyz: (..., 4), scalar part first, of any length but zero.
+            wxyz: (..., 4), scalar part first, of any length but zero (or denormal).
             lengths: (..., 3), metres: half extents of a box, semi-axes of an
                 ellipsoid.
 
@@ -138,7 +138,11 @@ class Box(_Body):
     Leading axes are batch axes and broadcast. A frozen pytree: it passes
     through `jit`, `vmap` and `grad`. Arrays of bfloat16 become float32 ones, exactly,
     and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
-    become the nearest orthonormal ones.
+    become the nearest orthonormal ones. Arrays of NumPy are copied.
+
+    Not itself a thing to optimise: a step in the entries of `axes` leaves the
+    rotations. Optimise a position and a quaternion, and build the body of them by
+    `from_quaternion` inside the function that is differentiated.
 
     Args:
         center: (..., 3), metres, world frame.
@@ -167,12 +171,17 @@ class Ellipsoid(_Body):
     Leading axes are batch axes and broadcast. A frozen pytree: it passes
     through `jit`, `vmap` and `grad`. Arrays of bfloat16 become float32 ones, exactly,
     and so is every answer; their axes, which eight bits leave orthonormal to 1 %,
-    become the nearest orthonormal ones.
+    become the nearest orthonormal ones. Arrays of NumPy are copied.
+
+    Not itself a thing to optimise: a step in the entries of `axes` leaves the
+    rotations, and semi-axes become negative. Optimise a position and a quaternion (of
+    lengths, the logarithm), and build the body of them by `from_quaternion` inside the
+    function that is differentiated.
 
     Args:
         center: (..., 3), metres, world frame.
         axes: (..., 3, 3), the unit axes in its *columns*, world frame.
-        semi_axes: (..., 3), metres, positive.
+        semi_axes: (..., 3), metres, positive; a denormal number counts as zero.
 
     Raises:
         TypeError: a field that is not float32, float64 or bfloat16, or fields of

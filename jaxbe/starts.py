@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, minimum
 from jaxbe.components import column, dot, is_zero, vector, where
 from jaxbe.growth import growth_estimate
 from jaxbe.kept import kept_direction, kept_from, shared
@@ -42,7 +43,7 @@ def first_start(pair: CanonicalPair, read: Read, steps: int) -> Components:
     pair = read(mu)
     alpha = growth_estimate(pair, GROWTH_STEPS)
     # One of the two at a time: mu is zero where they overlap.
-    alpha = jnp.where(mu > 0, 1, jnp.minimum(alpha, 1))
+    alpha = choose(mu > 0, 1, minimum(alpha, 1))
     return kept_direction(_direction(pair, alpha, mu), of_all(pair))
 
 
@@ -72,10 +73,10 @@ def _best_numbers(pair: CanonicalPair) -> Components:
     for _ in range(TRIED):
         number, least = jnp.ones_like(values[0]), values[0]
         for i, value in enumerate(values[1:], start=2):
-            number = jnp.where(value < least, i, number)
-            least = jnp.minimum(value, least)
+            number = choose(value < least, i, number)
+            least = minimum(value, least)
         values = [
-            jnp.where(number == i, jnp.inf, v) for i, v in enumerate(values, start=1)
+            choose(number == i, jnp.inf, v) for i, v in enumerate(values, start=1)
         ]
         numbers.append(number)
     # One number, because a loop has one result.
@@ -92,7 +93,7 @@ def _direction(pair: CanonicalPair, alpha: Scalars, mu: Scalars) -> Components:
 
 def _face(pair: CanonicalPair, i: int) -> Components:
     """The face normal i of the box, towards the ellipsoid."""
-    sign = jnp.where(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype)
+    sign = choose(pair.k[i] < 0, -1, 1).astype(pair.k[i].dtype)
     return vector(lambda j: sign if j == i else jnp.zeros_like(sign))
 
 
@@ -100,7 +101,7 @@ def _axis(pair: CanonicalPair, p: int) -> Components:
     """The axis p of the ellipsoid, away from the box."""
     axis = column(pair.R, p)
     back = dot(axis, pair.k) < 0
-    return vector(lambda i: jnp.where(back, -axis[i], axis[i]))
+    return vector(lambda i: choose(back, -axis[i], axis[i]))
 
 
 def _depths_of_faces(pair: CanonicalPair) -> Components:

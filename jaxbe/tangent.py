@@ -18,6 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe.choice import choose, maximum
 from jaxbe.components import clip, column, dot, largest, matrix, times, vector, where
 from jaxbe.kept import shared
 from jaxbe.pose import CanonicalPair
@@ -30,6 +31,9 @@ LONGEST_STEP = 0.5
 SHORT_STEP = 0.25
 FLOOR = 1e-4
 """Of the Hessian's smaller eigenvalue, in units of its diagonal."""
+
+ROUNDED_ZERO = 64
+"""A component below so many units of rounding of the largest one is taken for zero."""
 
 
 class Chart(NamedTuple):
@@ -45,21 +49,21 @@ class Chart(NamedTuple):
 
     def of_vector(self, x: Components) -> tuple[Scalars, Scalars]:
         """The two components that vary."""
-        return jnp.where(self.is_first, x[1], x[0]), jnp.where(self.is_last, x[1], x[2])
+        return choose(self.is_first, x[1], x[0]), choose(self.is_last, x[1], x[2])
 
     def of_matrix(self, m: ComponentMatrix) -> Components:
         """The entries 11, 12 and 22 of a symmetric matrix, in these components."""
-        mixed = jnp.where(self.is_last, m[0][1], m[0][2])
+        mixed = choose(self.is_last, m[0][1], m[0][2])
         return (
-            jnp.where(self.is_first, m[1][1], m[0][0]),
-            jnp.where(self.is_first, m[1][2], mixed),
-            jnp.where(self.is_last, m[1][1], m[2][2]),
+            choose(self.is_first, m[1][1], m[0][0]),
+            choose(self.is_first, m[1][2], mixed),
+            choose(self.is_last, m[1][1], m[2][2]),
         )
 
     def move(self, t_1: Scalars, t_2: Scalars) -> Components:
         """The vector with these two components, and zero for the one that is held."""
-        middle = jnp.where(self.is_first, t_1, jnp.where(self.is_last, t_2, 0))
-        return jnp.where(self.is_first, 0, t_1), middle, jnp.where(self.is_last, 0, t_2)
+        middle = choose(self.is_first, t_1, choose(self.is_last, t_2, 0))
+        return choose(self.is_first, 0, t_1), middle, choose(self.is_last, 0, t_2)
 
 
 class Tangent(NamedTuple):
@@ -152,9 +156,9 @@ def tangent(pair: Search, u: Components) -> Tangent:
     h_12 = (S_12 - p_1 * p_2) * per_s + phi * u_1 * w_2 - d_1 * w_2 - d_2 * w_1
     held_1, held_2 = (u_1 == 0) & (d_1 == 0), (u_2 == 0) & (d_2 == 0)
     hessian = (
-        jnp.where(held_1, abs(h_22), h_11),
-        jnp.where(held_1 | held_2, 0, h_12),
-        jnp.where(held_2, abs(h_11), h_22),
+        choose(held_1, abs(h_22), h_11),
+        choose(held_1 | held_2, 0, h_12),
+        choose(held_2, abs(h_11), h_22),
     )
     return Tangent(F, chart, (d_1, d_2), hessian)
 
@@ -169,36 +173,55 @@ def improved(pair: Search, u: Components) -> Components:
         pair: the bodies.
         u: a direction, not zero.
     """
+    u = without_rounding(u)
     at = tangent(pair, u)
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
-    # Near the minimum all depths are alike, and Newton's step still gains digits.
-    steps = (1.0, pair.rounding), (_until_first_zero(at.chart, u, t_1, t_2), 0.0)
+    # Near the minimum all depths are alike, and the whole step still gains digits.
+    steps = (
+        (1.0, pair.rounding),
+        (_until_first_zero(at.chart, u, t_1, t_2), -pair.rounding),
+        (_until_narrowest(pair, u, move), -pair.rounding),
+    )
     for share, allowance in steps:
         candidate = _moved(u, move, share)
         there = depth(pair, candidate)
         better = there.is_less(least, allowance)
         best = where(better, candidate, best)
         least = Depth(
-            jnp.where(better, there.F, least.F),
-            jnp.where(better, there.length, least.length),
+            choose(better, there.F, least.F),
+            choose(better, there.length, least.length),
         )
     return best
+
+
+def without_rounding(u: Components) -> Components:
+    """The direction u with what is zero but for rounding set to zero.
+
+    On which side of its kink such a component lies is chance. Where the minimum is not
+    at the kink after all, the next step of Newton's method releases it.
+    """
+    least = ROUNDED_ZERO * float(np.finfo(u[0].dtype).eps) * largest(_absolute(u))
+    return vector(lambda i: choose(abs(u[i]) < least, 0, u[i]))
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
     """Minus the inverse Hessian times the slopes; the Hessian lifted to be positive."""
     h_11, h_12, h_22, determinant = _lifted(at.hessian)
     t_1, t_2 = _against(h_11, h_12, h_22, slopes)
-    divisor = jnp.where(determinant > 0, determinant, 1)
+    divisor = choose(determinant > 0, determinant, 1)
     return at.chart.move(t_1 / divisor, t_2 / divisor)
 
 
 def _slope(u_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
     """The derivative of F in u_i; where u_i is zero, the smallest one."""
     at_kink = g_i - clip(g_i, -e_i, e_i)
-    return jnp.where(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
+    return choose(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
+
+
+def _absolute(u: Components) -> Components:
+    return vector(lambda i: abs(u[i]))
 
 
 def _chart(u: Components) -> Chart:
@@ -208,7 +231,7 @@ def _chart(u: Components) -> Chart:
 
 
 def _held_size(chart: Chart, u: Components) -> Scalars:
-    held = jnp.where(chart.is_first, u[0], jnp.where(chart.is_last, u[2], u[1]))
+    held = choose(chart.is_first, u[0], choose(chart.is_last, u[2], u[1]))
     return abs(held)
 
 
@@ -225,12 +248,12 @@ def _newton(at: Tangent, u: Components) -> tuple[Scalars, Scalars]:
     stays_1 = (u_1 == 0) & (t_1 * s_1 >= 0)
     stays_2 = (u_2 == 0) & (t_2 * s_2 >= 0)
     alone = stays_1 | stays_2
-    t_1 = jnp.where(stays_1, 0, jnp.where(alone, -h_22 * s_1, t_1))
-    t_2 = jnp.where(stays_2, 0, jnp.where(alone, -h_11 * s_2, t_2))
-    determinant = jnp.where(alone, h_11 * h_22, determinant)
-    length = jnp.maximum(abs(t_1), abs(t_2))
-    divisor = jnp.maximum(determinant * unit, length / LONGEST_STEP)
-    scale = shared(unit / jnp.where(divisor > 0, divisor, 1))
+    t_1 = choose(stays_1, 0, choose(alone, -h_22 * s_1, t_1))
+    t_2 = choose(stays_2, 0, choose(alone, -h_11 * s_2, t_2))
+    determinant = choose(alone, h_11 * h_22, determinant)
+    length = maximum(abs(t_1), abs(t_2))
+    divisor = maximum(determinant * unit, length / LONGEST_STEP)
+    scale = shared(unit / choose(divisor > 0, divisor, 1))
     return t_1 * scale, t_2 * scale
 
 
@@ -239,7 +262,7 @@ def _lifted(hessian: Components) -> tuple[Scalars, Scalars, Scalars, Scalars]:
     h_11, h_12, h_22 = hessian
     apart = (h_11 - h_22) / 2
     smaller = (h_11 + h_22) / 2 - jnp.sqrt(apart * apart + h_12 * h_12)
-    lift = jnp.maximum(FLOOR * (abs(h_11) + abs(h_22)) - smaller, 0)
+    lift = maximum(FLOOR * (abs(h_11) + abs(h_22)) - smaller, 0)
     h_11, h_22 = h_11 + lift, h_22 + lift
     return h_11, h_12, h_22, h_11 * h_22 - h_12 * h_12
 
@@ -257,8 +280,22 @@ def _moved(u: Components, move: Components, share: Scalars | float) -> Component
     there = vector(lambda i: u[i] + share * move[i])
     to_rounding = float(8 * np.finfo(u[0].dtype).eps)
     return vector(
-        lambda i: jnp.where(u[i] * there[i] < to_rounding * u[i] * u[i], 0, there[i])
+        lambda i: choose(u[i] * there[i] < to_rounding * u[i] * u[i], 0, there[i])
     )
+
+
+def _until_narrowest(pair: Search, u: Components, move: Components) -> Scalars:
+    """The share of the step after which the ellipsoid is narrowest, or SHORT_STEP.
+
+    Along a needle's axis s is as good as |a_p v_p.u|: it has a kink where that is zero.
+    """
+    there, here = (
+        vector(lambda p: dot(column(pair.B, p), x))  # noqa: B023
+        for x in (move, u)
+    )
+    left, gone = -dot(here, there), dot(there, there)
+    before = (left > 0) & (left < SHORT_STEP * gone)
+    return shared(choose(before, left / choose(before, gone, 1), SHORT_STEP))
 
 
 def _until_first_zero(
@@ -266,10 +303,10 @@ def _until_first_zero(
 ) -> Scalars:
     """The share of the step after which one of the two is zero, or SHORT_STEP."""
     u_1, u_2 = chart.of_vector(u)
-    left, gone = abs(u_1), jnp.where(u_1 * t_1 < 0, abs(t_1), 0)
-    left_2, gone_2 = abs(u_2), jnp.where(u_2 * t_2 < 0, abs(t_2), 0)
+    left, gone = abs(u_1), choose(u_1 * t_1 < 0, abs(t_1), 0)
+    left_2, gone_2 = abs(u_2), choose(u_2 * t_2 < 0, abs(t_2), 0)
     # The smaller of the quotients left / gone, by one division.
     first = left_2 * gone < left * gone_2
-    left, gone = jnp.where(first, left_2, left), jnp.where(first, gone_2, gone)
+    left, gone = choose(first, left_2, left), choose(first, gone_2, gone)
     before = left < SHORT_STEP * gone
-    return shared(jnp.where(before, left / jnp.where(before, gone, 1), SHORT_STEP))
+    return shared(choose(before, left / choose(before, gone, 1), SHORT_STEP))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe.choice import choose, maximum
 from jaxbe.components import column, dot, is_zero, largest, matrix, vector
 from jaxbe.kept import shared
 from jaxbe.kernel import Nearest
@@ -53,23 +54,21 @@ def touching(
     along = vector(lambda p: dot(column(R, p), n))
     point = vector(lambda p: -dot(column(R, p), near.d))
     size = largest(vector(lambda i: abs(n[i])))
-    lengths = largest(vector(lambda i: jnp.maximum(abs(near.x[i]), abs(near.d[i]))))
+    lengths = largest(vector(lambda i: maximum(abs(near.x[i]), abs(near.d[i]))))
     # Where the box reaches the centre to rounding, there is no point to be had.
     apart = ~is_zero(near.d)
     is_long = vector(
         lambda p: apart & (a[p] * a[p] * (factor * size) > 2 * s * lengths)
     )
-    reciprocal = vector(
-        lambda p: shared(1 / (a[p] * jnp.where(factor == 0, 1, factor)))
-    )
-    t = vector(lambda p: jnp.where(is_long[p], point[p] * reciprocal[p], 0))
-    short = vector(lambda p: jnp.where(is_long[p], 0, a[p] * along[p]))
+    reciprocal = vector(lambda p: shared(1 / (a[p] * choose(factor == 0, 1, factor))))
+    t = vector(lambda p: choose(is_long[p], point[p] * reciprocal[p], 0))
+    short = vector(lambda p: choose(is_long[p], 0, a[p] * along[p]))
     rest = 1 - dot(t, t)
     every = vector(lambda p: a[p] * along[p])
     alone = shared(dot(short, short) / rest)
-    s = shared(jnp.sqrt(jnp.where(rest > 0.5, alone, dot(every, every))))
-    scale = shared(factor / jnp.where(s == 0, 1, s))
+    s = shared(jnp.sqrt(choose(rest > 0.5, alone, dot(every, every))))
+    scale = shared(factor / choose(s == 0, 1, s))
     reach = vector(
-        lambda p: jnp.where(is_long[p], point[p], a[p] * (a[p] * along[p]) * scale)
+        lambda p: choose(is_long[p], point[p], a[p] * (a[p] * along[p]) * scale)
     )
     return Touching(reach, s)

@@ -8,7 +8,7 @@ compiled code (`jaxbe.checked`).
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -30,6 +30,11 @@ ORTHONORMAL_ROUNDINGS = 1000
 NARROW_TOLERANCE = 0.03
 """Or, in bfloat16, by so much: four units of rounding."""
 
+DRIFT = 1e-3
+"""Axes that are further from orthonormal are no drifted rotation."""
+
+DENORMAL = "(a denormal number counts as zero)"
+
 _TAILS = {"axes": (3, 3), "wxyz": (4,)}
 """The trailing axes of the fields that are not vectors of three."""
 
@@ -42,6 +47,9 @@ class Rule(NamedTuple):
     ok: Any
 
 
+Rules = Callable[[Mapping[str, Any], ModuleType], Iterator[Rule]]
+
+
 def as_count(name: str, count: Any, least: int, most: int) -> int:
     """A number of steps, which is part of the program.
 
@@ -50,7 +58,7 @@ def as_count(name: str, count: Any, least: int, most: int) -> int:
         ValueError: out of range.
     """
     try:
-        number = operator.index(count)
+        number = operator.index(_not_a_flag(count))
     except TypeError:
         raise TypeError(
             f"{name} must be a Python integer (static under jit), got {count!r}"
@@ -58,6 +66,27 @@ def as_count(name: str, count: Any, least: int, most: int) -> int:
     if not least <= number <= most:
         raise ValueError(f"{name} must be from {least} to {most}, got {number}")
     return number
+
+
+def as_number(name: str, number: Any) -> float:
+    """A number that is known, and no more than one; NaN and infinity are some.
+
+    Raises:
+        TypeError: anything else.
+    """
+    try:
+        if np.ndim(number) == 0 and not isinstance(number, str | bytes):
+            return float(_not_a_flag(number))
+    except (TypeError, ValueError):
+        pass
+    raise TypeError(f"{name} must be a number, got {number!r}")
+
+
+def _not_a_flag(x: Any) -> Any:
+    """To Python True is one, but nobody means it."""
+    if isinstance(x, bool | np.bool_):
+        raise TypeError("a boolean is no number")
+    return x
 
 
 def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array]:
@@ -71,12 +100,20 @@ def as_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, jax.Array
             bfloat16, or two fields then differ in dtype.
     """
     wide = {
-        name: _widened(name, jnp.asarray(x)) if hasattr(x, "dtype") else x
+        name: _widened(name, owned(x)) if hasattr(x, "dtype") else x
         for name, x in fields.items()
     }
     arrays = _of_one_dtype(kind, wide, jnp)
     # A weak type would compile every caller a second time.
     return {n: lax.convert_element_type(x, x.dtype) for n, x in arrays.items()}
+
+
+def owned(x: ArrayLike, dtype: Any = None) -> jax.Array:
+    """An array of JAX that shares no memory with one of NumPy, which may change later.
+
+    JAX by itself takes over what is aligned, or copies it at some later time.
+    """
+    return jnp.asarray(x if isinstance(x, jax.Array) else np.array(x, dtype), dtype)
 
 
 def as_host_floats(kind: str, fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
@@ -93,12 +130,13 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
 
     Raises:
         TypeError: a dtype that is not float32 or float64, or not the same in
-            all fields.
+            all fields; an array of JAX in float64 where that is switched off.
         ValueError: a shape without the trailing axes that the field needs, or
             leading axes that do not broadcast.
     """
     for name, x in fields.items():
         _check_dtype(kind, name, x)
+        _check_float64(kind, name, x)
         tail = _TAILS.get(name, (3,))
         if x.shape[-len(tail) :] != tail:
             expected = ", ".join(["...", *map(str, tail)])
@@ -108,7 +146,7 @@ def check_fields(kind: str, fields: Mapping[str, jax.Array]) -> tuple[int, ...]:
     _check_one_dtype(kind, fields)
     leading = {name: batch_axes(name, x) for name, x in fields.items()}
     try:
-        return np.broadcast_shapes(*leading.values())
+        return lax.broadcast_shapes(*leading.values())
     except ValueError:
         raise ValueError(
             f"{kind}: the leading axes of its fields must broadcast, got {leading}"
@@ -131,17 +169,57 @@ def value_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
     for name, x in fields.items():
         yield Rule(name, "finite", xp.isfinite(x))
     if "axes" in fields:
-        yield _orthonormal(fields["axes"], xp)
+        axes = fields["axes"]
+        if str(axes.dtype) == NARROW:
+            yield _orthonormal(axes.astype("float32"), xp, NARROW_TOLERANCE)
+        else:
+            roundings = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
+            yield _orthonormal(axes, xp, roundings)
     if "wxyz" in fields:
-        nonzero = xp.any(fields["wxyz"] != 0, axis=-1, keepdims=True)
-        yield Rule("wxyz", "of non-zero length", nonzero)
+        nonzero = _is_normal(xp.abs(fields["wxyz"]))
+        nonzero = xp.any(nonzero, axis=-1, keepdims=True)
+        yield Rule("wxyz", f"of non-zero length {DENORMAL}", nonzero)
     if "half_extents" in fields:
         yield Rule("half_extents", "non-negative", fields["half_extents"] >= 0)
     if "semi_axes" in fields:
-        yield Rule("semi_axes", "positive", fields["semi_axes"] > 0)
+        positive = _is_normal(fields["semi_axes"])
+        yield Rule("semi_axes", f"positive {DENORMAL}", positive)
 
 
-def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
+def possible_rules(fields: Mapping[str, Any], xp: ModuleType) -> Iterator[Rule]:
+    """What holds where simulations drift or fail, but not where bodies are optimised.
+
+    Axes that are far from a rotation, and negative lengths, are finite numbers that
+    mean no body; NaN and infinity pass.
+
+    Args:
+        fields: as for `value_rules`.
+        xp: as for `value_rules`.
+    """
+    for name, x in fields.items():
+        if name == "axes":
+            yield _orthonormal(x, xp, DRIFT, unless_infinite=True)
+        elif name != "center":
+            yield Rule(name, "non-negative", (x >= 0) | ~xp.isfinite(x))
+
+
+def check_possible(kind: str, fields: Mapping[str, Any]) -> None:
+    """Checks concrete arrays by `possible_rules`, where they are: one flag is fetched.
+
+    Raises:
+        ValueError: as `check_values`.
+    """
+    if not all(map(is_readable, fields.values())):
+        return
+    with jax.ensure_compile_time_eval():
+        if all(bool(jnp.all(rule.ok)) for rule in possible_rules(fields, jnp)):
+            return
+    check_values(kind, fields, possible_rules)
+
+
+def check_values(
+    kind: str, fields: Mapping[str, Any], rules: Rules = value_rules
+) -> None:
     """Checks the values of concrete arrays; traced ones pass unread.
 
     Raises:
@@ -151,7 +229,7 @@ def check_values(kind: str, fields: Mapping[str, jax.Array]) -> None:
     if not all(map(is_readable, fields.values())):
         return
     values = {name: np.asarray(x) for name, x in fields.items()}
-    for rule in value_rules(values, np):
+    for rule in rules(values, np):
         if not np.all(rule.ok):
             found = _first_broken(rule.argument, values[rule.argument], rule.ok)
             raise ValueError(
@@ -184,12 +262,18 @@ def _widened(name: str, x: jax.Array) -> jax.Array:
     return wide
 
 
-def _orthonormal(axes: Any, xp: ModuleType) -> Rule:
-    if str(axes.dtype) == NARROW:
-        axes, tolerance = axes.astype("float32"), NARROW_TOLERANCE
-    else:
-        tolerance = ORTHONORMAL_ROUNDINGS * float(np.finfo(axes.dtype).eps)
-    ok = xp.abs(_gram(axes, xp) - _identity(axes, xp)) <= tolerance
+def _is_normal(x: Any) -> Any:
+    """Where x is a positive number that compiled programs do not take for zero."""
+    return x >= np.finfo(x.dtype).tiny
+
+
+def _orthonormal(
+    axes: Any, xp: ModuleType, tolerance: float, unless_infinite: bool = False
+) -> Rule:
+    excess = xp.abs(_gram(axes, xp) - _identity(axes, xp))
+    ok = excess <= tolerance
+    if unless_infinite:
+        ok = ok | ~xp.isfinite(excess)
     return Rule("axes", f"orthonormal in their columns (to {tolerance:.1e})", ok)
 
 
@@ -236,6 +320,16 @@ def _of_one_dtype(
 def _check_dtype(kind: str, name: str, x: jax.Array) -> None:
     if str(x.dtype) not in DTYPES:
         raise TypeError(f"{kind}: {name} must be {' or '.join(DTYPES)}, got {x.dtype}")
+
+
+def _check_float64(kind: str, name: str, x: jax.Array) -> None:
+    """Half of what is computed would be rounded to float32, and not be comparable."""
+    is_off = not jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    if is_off and isinstance(x, jax.Array) and x.dtype == np.float64:
+        raise TypeError(
+            f"{kind}: {name} is float64, which is switched off here (jax_enable_x64): "
+            "use the body where it was built, or build it of float32"
+        )
 
 
 def _check_one_dtype(kind: str, fields: Mapping[str, jax.Array]) -> None:

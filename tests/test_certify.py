@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from jax.experimental import checkify
 
 import jaxbe
 from benchmarks import scenes
@@ -97,6 +98,55 @@ def test_nan_is_undecided(dtype):
         box = jaxbe.Box.unchecked(*fields[:3])
         verdict, _, _ = jaxbe.certify(box, jaxbe.Ellipsoid.unchecked(*fields[3:]))
         assert np.all(np.asarray(verdict) == 0)
+
+
+def optimised(kind, field, index, value, dtype):
+    """A unit body of which an optimiser changed one number."""
+    center, axes = np.zeros(3, dtype), np.eye(3, dtype=dtype)
+    body = kind(center, axes, np.ones(3, dtype))
+    fields = {name: np.array(x) for name, x in body.fields().items()}
+    fields[field][index] = value
+    return jax.tree.unflatten(jax.tree.structure(body), fields.values())
+
+
+BROKEN = [
+    (jaxbe.Box, "axes", (0, 1), 0.01, r"axes must be orthonormal .*\[\[1.0, 0.0"),
+    (jaxbe.Ellipsoid, "axes", (0, 0), 1.01, "axes must be orthonormal"),
+    (jaxbe.Box, "half_extents", 1, -0.1, r"half_extents must be non-negative.*-0\.1"),
+    (jaxbe.Ellipsoid, "semi_axes", 2, -0.1, "semi_axes must be non-negative"),
+]
+
+
+@pytest.mark.parametrize(("kind", "field", "index", "value", "message"), BROKEN)
+def test_bodies_that_an_optimiser_spoiled(kind, field, index, value, message, dtype):
+    """Once a proof that they are apart."""
+    other = {jaxbe.Box: jaxbe.Ellipsoid, jaxbe.Ellipsoid: jaxbe.Box}[kind]
+    far = other(np.full(3, 5, dtype), np.eye(3, dtype=dtype), np.ones(3, dtype))
+    body = optimised(kind, field, index, value, dtype)
+    pair = (body, far) if kind is jaxbe.Box else (far, body)
+    with pytest.raises(ValueError, match=f"{kind.__name__}: {message}"):
+        jaxbe.certify(*pair)
+    many = jax.tree.map(lambda x: np.stack([x] * 3), pair)
+    with pytest.raises(ValueError, match=r"at batch index \(0,\)"):
+        jaxbe.certify(*many)
+    jax.jit(jaxbe.certify)(*pair)  # There values are not read.
+    with pytest.raises(checkify.JaxRuntimeError):
+        jaxbe.checked(jaxbe.certify)(*pair)
+
+
+def test_undecided_poses_are_no_error(dtype):
+    """NaN and infinity, as of a simulation that failed, and a flat ellipsoid."""
+    box, ellipsoid = scenes.random(4, seed=88).astype(dtype).bodies()
+    for bad in (np.nan, np.inf, -np.inf):
+        for i in range(3):
+            leaves = [np.array(x) for x in jax.tree.leaves(ellipsoid)]
+            leaves[i][1] = abs(bad) if i == 2 else bad
+            spoiled = jax.tree.unflatten(jax.tree.structure(ellipsoid), leaves)
+            assert jaxbe.certify(box, spoiled).verdict[1] == 0
+    flat = ellipsoid.unchecked(
+        ellipsoid.center, ellipsoid.axes, ellipsoid.semi_axes.at[1, 0].set(0)
+    )
+    jaxbe.certify(box, flat)
 
 
 def test_branch_free():

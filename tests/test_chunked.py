@@ -11,6 +11,7 @@ import pytest
 
 import jaxbe
 from benchmarks import scenes
+from tests.test_shapes import no_x64
 
 BATCHES = [
     ((300,), (300,)),
@@ -226,6 +227,29 @@ def test_progress_is_told_of_every_chunk(dtype):
     assert told == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize("kept", [(), (0, 1), (1, 2, 3, 4), (0, 1, 2, 3)])
+def test_progress_that_leaves_out_chunks(kept):
+    """Once there was uninitialised memory in their places."""
+    function = jaxbe.chunked(
+        jaxbe.overlap,
+        pairs_per_chunk=64,
+        progress=lambda chunks: (i for i in chunks if i in kept),
+    )
+    message = rf"progress must yield .* {5 - len(kept)} of 5 chunks are missing"
+    with pytest.raises(ValueError, match=message):
+        function(*pairs((300,), (), np.float32))
+
+
+def test_results_that_are_random_keys():
+    def keys(box, ellipsoid):
+        seeds = box.center[..., 0].astype(np.uint32)
+        return jax.vmap(jax.random.key)(seeds)
+
+    function = jaxbe.chunked(keys, pairs_per_chunk=64)
+    with pytest.raises(TypeError, match=r"got key<.*return jax\.random\.key_data"):
+        function(*pairs((300,), (), np.float32))
+
+
 def test_bodies_on_the_device_are_taken_too(dtype):
     bodies = pairs((100,), (100,), dtype)
     on_device = jaxbe.Box(*bodies[0].fields().values()), bodies[1]
@@ -235,18 +259,12 @@ def test_bodies_on_the_device_are_taken_too(dtype):
 
 def test_float64_is_rounded_where_jax_has_none():
     bodies = pairs((100,), (100,), np.float64)
-    with jax.enable_x64(False) if hasattr(jax, "enable_x64") else no_x64():
+    with no_x64():
         found = jaxbe.chunked(jaxbe.margin, pairs_per_chunk=30)(*bodies)
     assert found.dtype == np.float32
     rounded = jax.tree.map(lambda x: x.astype(np.float32), bodies)
     expected = jaxbe.chunked(jaxbe.margin, pairs_per_chunk=30)(*rounded)
     np.testing.assert_array_equal(found, expected)
-
-
-def no_x64():
-    from jax.experimental import disable_x64
-
-    return disable_x64()
 
 
 def test_map_bounds_the_memory_inside_jit():

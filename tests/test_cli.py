@@ -231,7 +231,7 @@ def test_people_get_a_table(capsys, scene):
         "certificates with the tests: 0 disagreements on 80 pairs in states",
         "distance's sign with the tests: 0 disagreements on 80 pairs in states",
         "with MuJoCo C: 0 disagreements on a sample of 50",
-        "deepest overlap: state",
+        "deepest overlap by margin: state",
     ):
         assert expected in out
 
@@ -395,7 +395,8 @@ def test_files_that_are_not_npy(error_of, scene, tmp_path):
 def test_a_missing_scene(error_of, tmp_path):
     path = str(tmp_path / "missing.xml")
     assert error_of(path) == f"no such file: {path}"
-    assert error_of(str(tmp_path)) == f"no such file: {tmp_path}"
+    assert error_of(str(tmp_path)) == f"{tmp_path} is a directory, not a file"
+    assert error_of(os.devnull) == f"{os.devnull} is not a regular file"
 
 
 def test_a_scene_that_is_no_model_gives_the_message_of_mujoco(error_of, write_scene):
@@ -718,7 +719,7 @@ def test_the_nearest_miss_is_drawn_if_nothing_overlaps(
     path = tmp_path / "out.png"
     assert main([scene, "--qpos", states, "--picture", str(path)]) == 0
     out = capsys.readouterr().out
-    assert "nothing overlaps; nearest: state 1, " in out
+    assert "nothing overlaps; nearest by margin: state 1, " in out
     assert pixels(path).std() > 0.05
 
 

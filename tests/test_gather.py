@@ -76,6 +76,22 @@ def test_bodies_have_the_poses_of_mujoco(model, pairs):
     assert_are_the_geoms(box, pairs.geom[:, 1], model, data)
 
 
+def test_bodies_do_not_follow_the_simulation(model, pairs):
+    """JAX may take over arrays of NumPy where they are."""
+    for seed in range(20):
+        data = random_data(model, seed)
+        found = gather(pairs, model, data)
+        before = data.geom_xpos.copy(), data.geom_xmat.copy(), model.geom_size.copy()
+        for x in (data.geom_xpos, data.geom_xmat, model.geom_size):
+            x += 1
+        for body, geoms in zip(found, pairs.geom.T[::-1], strict=True):
+            center, axes, lengths = body.fields().values()
+            np.testing.assert_array_equal(center, before[0][geoms])
+            np.testing.assert_array_equal(axes, before[1][geoms].reshape(-1, 3, 3))
+            np.testing.assert_array_equal(lengths, before[2][geoms])
+        model.geom_size -= 1
+
+
 def test_the_verdict_is_that_of_mujoco(model, pairs):
     """The convention of axes: with rows for columns most of these would differ."""
     verdicts = []

@@ -281,6 +281,23 @@ def test_rounding_slack_grows_with_the_aspect_ratio_and_eps(dtype):
     assert jaxbe.rounding_slack(dtype.name, 40) == 40 * 96 * eps
 
 
+@pytest.mark.parametrize(
+    ("given", "options", "error", "message"),
+    [
+        ((np.float16, 40), {}, TypeError, "float32 or float64, got float16"),
+        ((np.float32, "x"), {}, TypeError, "aspect_ratio must be a number, got 'x'"),
+        ((np.float32, 0.5), {}, ValueError, "aspect_ratio must be at least 1"),
+        ((np.float32, np.nan), {}, ValueError, "aspect_ratio must be at least 1"),
+        ((np.float32, 40), {"axes_error": -1}, ValueError, "must not be negative"),
+        ((np.float32, 40), {"axes_error": np.nan}, ValueError, "not be negative"),
+        ((np.float32, 40), {"axes_error": True}, TypeError, "must be a number"),
+    ],
+)
+def test_rounding_slack_of_what_has_none(given, options, error, message):
+    with pytest.raises(error, match=message):
+        jaxbe.rounding_slack(*given, **options)
+
+
 BANDS = {
     ("float64", "aspect40"): 1e-12,
     ("float64", "aspect1000"): 1e-10,

@@ -1,6 +1,10 @@
 """`jaxbe.plan`: the cheapest settings that keep a tolerance, and clear refusals."""
 
+import copy
+import dataclasses
 import functools
+import json
+import pickle
 
 import jax
 import jax.numpy as jnp
@@ -156,6 +160,13 @@ def test_spheres_take_fewer_steps():
         (("margin",), {"dtype": "bfloat16"}, ValueError, "dtype must be"),
         (("margin",), {"share": 0.5}, ValueError, "share must be one of 0.99"),
         (("margin",), {"tolerance": 0.0}, ValueError, "tolerance must be positive"),
+        (("margin",), {"tolerance": np.nan}, ValueError, "tolerance must be positive"),
+        (("margin",), {"tolerance": True}, TypeError, "a number, got True"),
+        (("margin",), {"tolerance": "x"}, TypeError, "tolerance must be .* got 'x'"),
+        (("margin",), {"tolerance": [0.1]}, TypeError, r"number, got \[0.1\]"),
+        (("margin",), {"share": "x"}, TypeError, "share must be a number, got 'x'"),
+        (("margin",), {"share": True}, TypeError, "share must be a number, got True"),
+        (("margin",), {"share": np.nan}, ValueError, "share must be one of 0.99"),
         (
             ("margin",),
             {"tolerance": 1e-30},
@@ -187,7 +198,47 @@ def test_refusals_say_what_would_do(outputs, options, error, message):
         jaxbe.plan(*outputs, **({"scene": COMMON} | options))
 
 
+def test_any_tolerance_is_the_cheapest_setting():
+    """Once: no setting keeps it."""
+    rows = [r for r in lines("margin") if r.dtype == "float32" and not r.gradients]
+    cheapest = min(rows, key=lambda row: row.nanoseconds)
+    found = jaxbe.plan("margin", scene=COMMON, tolerance=np.inf)
+    assert found.margin == cheapest.keywords
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64, jnp.float32])
+def test_numbers_may_be_of_numpy_or_jax(number):
+    found = jaxbe.plan(
+        "margin", scene=COMMON, tolerance=number(1e-3), share=number(0.99)
+    )
+    assert (
+        found.margin
+        == jaxbe.plan("margin", scene=COMMON, tolerance=1e-3, share=0.99).margin
+    )
+
+
+def test_a_plan_is_a_value():
+    """It can be stored, sent, copied, and be a key."""
+    found = jaxbe.plan("margin", "contact", scene=COMMON, tolerance=1e-3)
+    copies = (
+        pickle.loads(pickle.dumps(found)),
+        copy.deepcopy(found),
+        copy.copy(found),
+        jaxbe.Plan(**json.loads(json.dumps(dataclasses.asdict(found)))),
+    )
+    for again in copies[:3]:
+        assert again == found
+        assert hash(again) == hash(found)
+    assert copies[3].margin == found.margin
+    assert {found: 1}[copies[0]] == 1
+    found.margin["steps"] = 0
+    again = jaxbe.plan("margin", "contact", scene=COMMON, tolerance=1e-3)
+    assert again.margin == copies[0].margin
+
+
 def test_facts_are_checked():
+    with pytest.raises(TypeError, match="spread must be a number, got '40'"):
+        jaxbe.SceneFacts("40")
     with pytest.raises(ValueError, match=r"spread must be at least 1, got 0\.5"):
         jaxbe.SceneFacts(0.5)
     with pytest.raises(ValueError, match="spread must be at least 1, got nan"):

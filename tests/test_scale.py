@@ -50,6 +50,18 @@ def test_so_it_does_where_shardings_are_types():
         check_share(kernel, told[kernel])
 
 
+@pytest.mark.skipif(not hasattr(jax, "set_mesh"), reason="older: no axis is explicit")
+@pytest.mark.parametrize(
+    "every", [(), pytest.param(("every",), marks=pytest.mark.slow)]
+)
+def test_vmap_over_an_axis_that_is_part_of_the_types(every):
+    """As `jax.make_mesh` makes it by default; once a ShardingTypeError."""
+    run = ("-m", "tests.on_explicit_mesh", *every)
+    told = json.loads(python(*run, devices=4, seconds=1200))
+    assert told.pop("roundings") <= 100
+    assert {name: fault for name, fault in told.items() if fault} == {}
+
+
 def test_two_processes():
     each, devices = 96, 2
     outputs = cooperating(

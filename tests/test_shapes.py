@@ -18,6 +18,15 @@ from jaxbe import Box, Ellipsoid
 KINDS = (Box, Ellipsoid)
 
 
+def no_x64():
+    """Float64 off for a while, also with older releases of JAX."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(False)
+    from jax.experimental import disable_x64
+
+    return disable_x64()
+
+
 @pytest.fixture(params=KINDS, ids=lambda kind: kind.__name__)
 def kind(request):
     return request.param
@@ -227,6 +236,60 @@ def test_unchecked_reads_no_values(kind):
         kind.unchecked(np.zeros(2, np.float32), *fields()[1:])
     with pytest.raises(TypeError, match="must be float32"):
         kind.unchecked(np.zeros(3, int), *fields()[1:])
+
+
+def moved_afterwards(build, *arrays):
+    """The fields of a body, built of arrays that change as soon as it is there."""
+    body = build(*arrays)
+    for x in arrays:
+        x += 1
+    return [np.asarray(x) for x in jax.tree.leaves(body)]
+
+
+@pytest.mark.parametrize("build", ["__call__", "unchecked", "from_quaternion"])
+def test_bodies_share_no_memory_with_numpy(kind, build, dtype):
+    """JAX takes over arrays of NumPy where they are, if they are aligned there."""
+    build = kind if build == "__call__" else getattr(kind, build)
+    for count in (1, 2, 3, 64, 1000):
+        arrays = [np.repeat(x[None], count, axis=0) for x in fields(dtype)]
+        if build == kind.from_quaternion:
+            arrays[1] = np.repeat(np.eye(4, dtype=dtype)[:1], count, axis=0)
+        found = moved_afterwards(build, *arrays)
+        for x, expected in zip(found, fields(dtype), strict=True):
+            assert np.all(x == expected)
+
+
+def test_bodies_on_the_host_stay_where_they_are(kind):
+    arrays = fields()
+    found = moved_afterwards(kind.on_host, *arrays)
+    assert all(np.all(x == y) for x, y in zip(found, arrays, strict=True))
+
+
+@pytest.mark.parametrize("as_traced", [False, True])
+def test_float64_bodies_where_float64_is_off(method, as_traced):
+    """Built where it was on: once an answer of two booleans, one of them wrong."""
+    bodies = Box(*fields(np.float64)), Ellipsoid(*fields(np.float64))
+    overlap = functools.partial(jaxbe.overlap, method=method)
+    overlap = jax.jit(overlap) if as_traced else overlap
+    assert overlap(*bodies)
+    with no_x64(), pytest.raises(TypeError, match=r"Box: center is float64.*x64"):
+        overlap(*bodies)
+    assert overlap(*bodies)
+
+
+def test_denormal_lengths_count_as_zero(kind, dtype):
+    """As in compiled programs; once axes of NaN, and a pair that never is apart."""
+    denormal = np.full(4, np.finfo(dtype).tiny / 4, dtype)
+    center, _, lengths = fields(dtype)
+    with pytest.raises(ValueError, match=r"wxyz must be of non-zero length.*denormal"):
+        kind.from_quaternion(center, denormal, lengths)
+    if kind is Ellipsoid:
+        with pytest.raises(ValueError, match=r"semi_axes must be positive.*denormal"):
+            kind(center, np.eye(3, dtype=dtype), denormal[:3])
+    else:
+        kind(center, np.eye(3, dtype=dtype), denormal[:3])
+    smallest = np.full(4, np.finfo(dtype).tiny, dtype)
+    kind.from_quaternion(center, smallest, smallest[:3])
 
 
 def test_queries_name_what_is_wrong_with_the_pair(method):

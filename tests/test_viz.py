@@ -87,6 +87,25 @@ def test_batches_and_nan_are_refused():
         viz.draw_pair(box, nowhere)
 
 
+def test_bodies_that_are_missing_or_swapped_are_named():
+    box, ellipsoid = pair(APART, np.float32)
+    with pytest.raises(ValueError, match="needs a box or an ellipsoid at least"):
+        viz.draw_bodies()
+    none = jaxbe.Box(*(np.zeros((0, *x.shape), x.dtype) for x in box.fields().values()))
+    with pytest.raises(ValueError, match="needs a box or an ellipsoid at least"):
+        viz.draw_bodies(none)
+    for draw in (viz.draw_bodies, viz.draw_pair, viz.draw_slice):
+        with pytest.raises(TypeError, match=r"box must be a jaxbe\.Box, got Ellipsoid"):
+            draw(ellipsoid, box)
+    with pytest.raises(TypeError, match=r"must be a jaxbe\.Ellipsoid, got Box"):
+        viz.draw_bodies(box, box)
+    with pytest.raises(TypeError, match=r"box must be a jaxbe\.Box, got NoneType"):
+        viz.draw_pair(None, ellipsoid)
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    with pytest.raises(TypeError, match=r"model must be a mujoco\.MjModel, got MjData"):
+        viz.render(mujoco.MjData(model), model)
+
+
 @pytest.mark.parametrize(("across", "dtype"), [(0, np.float32), (2, np.float64)])
 def test_the_touching_curve_of_a_slice_is_where_the_margin_is_zero(
     across, dtype, tmp_path

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from jaxbe.cli.arguments import Options, parse
-from jaxbe.cli.errors import InputError
+from jaxbe.cli.errors import InputError, OutputError, one_line
+from jaxbe.cli.output import complain
 
 EXIT_FINE = 0
 EXIT_DISAGREE = 1
 EXIT_BAD_INPUT = 2
+EXIT_UNEXPECTED = 3
+EXIT_INTERRUPTED = 130
+"""As of a program that SIGINT ends."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,15 +28,33 @@ def main(argv: Sequence[str] | None = None) -> int:
             None.
 
     Returns:
-        The exit status, 0 fine, 1 tests disagree, 2 bad input.
+        The exit status, 0 fine, 1 tests disagree, 2 bad input, 3 the unexpected, 130
+        interrupted.
     """
     try:
         options = parse(argv)
         agree = _import_job()(options)
     except InputError as error:
-        print(f"jaxbe: error: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        return _ended(EXIT_BAD_INPUT, f"error: {error}")
+    except OutputError as error:
+        return _ended(EXIT_UNEXPECTED, f"error: {error}")
+    except KeyboardInterrupt:
+        return _ended(EXIT_INTERRUPTED, "interrupted")
+    except Exception as error:
+        return _ended(EXIT_UNEXPECTED, f"unexpected error: {_description(error)}")
     return EXIT_FINE if agree else EXIT_DISAGREE
+
+
+def _ended(status: int, line: str) -> int:
+    complain(line)
+    return status
+
+
+def _description(error: Exception) -> str:
+    """What happened and where: one line, enough to report it."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    kind, place = type(error).__name__, f"{Path(last.filename).name}:{last.lineno}"
+    return f"{one_line(f'{kind}: {error}')} ({place})"
 
 
 def _import_job() -> Callable[[Options], bool]:

@@ -6,13 +6,18 @@ import argparse
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 from jaxbe import __version__
 from jaxbe.cli.errors import InputError
+from jaxbe.cli.output import write
+from jaxbe.cli.shown import shown
 
 DEFAULT_SCENE = Path(__file__).parents[1] / "scenes" / "arm_and_shelf.xml"
 DEFAULT_STATES = 1000
+
+MOST_DIGITS = 100
+"""Of numbers: enough for any seed, and what Python turns into text."""
 
 DESCRIPTION = """\
 Which boxes and ellipsoids of a MuJoCo scene overlap, over many states?
@@ -55,6 +60,10 @@ exit status:
   1  the tests disagree among themselves, with certificates, with the sign of the
      distance or with MuJoCo C
   2  bad input, said in one line on standard error
+  3  the unexpected, in such a line too: standard output that cannot be written, or a
+     fault of jaxbe
+  130  interrupted by Ctrl-C
+  With 2, 3 and 130 what was found before is printed nevertheless; "agree" is not true.
 
 examples:
   jaxbe                                       the scene that ships with jaxbe
@@ -86,7 +95,11 @@ class Options:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """One line, instead of the usage and a line."""
-        raise InputError(f"{message} (see jaxbe --help)")
+        raise InputError(f"{shown(message)} (see jaxbe --help)")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Help and version; argparse would not notice that nobody got them."""
+        write(message)
 
 
 def parse(argv: Sequence[str] | None = None) -> Options:
@@ -192,9 +205,10 @@ def _add_output(parser: argparse.ArgumentParser) -> None:
         "--picture",
         metavar="OUT.png",
         type=Path,
-        help="draw the state of deepest overlap, or the nearest miss, with the pair's "
-        "witness points and the normal from ellipsoid to box: rendered by MuJoCo "
-        "where OpenGL works (MUJOCO_GL is respected), else plotted",
+        help="draw the state of the smallest margin, the deepest overlap by the size "
+        "of the pair or the nearest miss, with witness points and the normal from "
+        "ellipsoid to box: rendered by MuJoCo where OpenGL works (MUJOCO_GL is "
+        "respected), else plotted",
     )
 
 
@@ -207,4 +221,6 @@ def _positive(text: str) -> int:
 def _not_negative(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"must be a whole number, got {text!r}")
+    if len(text) > MOST_DIGITS:
+        raise argparse.ArgumentTypeError(f"must have at most {MOST_DIGITS} digits")
     return int(text)

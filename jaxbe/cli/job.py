@@ -12,16 +12,22 @@ import mujoco
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from jaxbe.cli import picture, report
+from jaxbe.cli import picture
 from jaxbe.cli.arguments import Options
+from jaxbe.cli.as_object import as_json
+from jaxbe.cli.as_text import crosscheck_text, picture_text, sweep_text
 from jaxbe.cli.crosscheck import crosscheck
+from jaxbe.cli.errors import InputError, one_line
+from jaxbe.cli.memory import room_for
+from jaxbe.cli.output import complain, write
 from jaxbe.cli.report import Report
 from jaxbe.cli.sample import Sample
-from jaxbe.cli.scene import labels, load, pairs_of
+from jaxbe.cli.scene import check_sizes, labels, load, pairs_of
 from jaxbe.cli.states import States, random_states, states_from_file
 from jaxbe.cli.sweep import Sweep, batch_size
 from jaxbe.float64 import float64_allowed
 from jaxbe.mjx import Pairs
+from jaxbe.viz.mujoco_log import warnings_to
 from jaxbe.viz.picture import Picture
 from jaxbe.viz.view import Mark, View
 
@@ -34,20 +40,20 @@ def run(options: Options) -> bool:
 
     Raises:
         InputError: something the user can mend.
+        OutputError: the report cannot be printed.
     """
-    if options.picture is not None:
-        picture.check_writable(options.picture)
-    model = load(options.scene)
-    pairs = pairs_of(model, options.geoms)
-    states = _states(model, options)
-    with float64_allowed():
-        result = _examine(model, pairs, states, options)
-    try:
+    with _words_of_mujoco():
         if options.picture is not None:
-            result.picture = _draw(model, result, options)
-    finally:
-        report.show(result, options)
-    return result.agree()
+            picture.check_writable(options.picture)
+        model = load(options.scene)
+        pairs = pairs_of(model, options.geoms)
+        check_sizes(model, pairs, options.dtype)
+        states = _states(model, options)
+        if options.picture is not None:
+            inputs = options.scene, options.qpos
+            picture.check_no_input(options.picture, inputs, model)
+        with float64_allowed():
+            return _examine(model, pairs, states, options)
 
 
 def _states(model: Any, options: Options) -> States:
@@ -56,30 +62,83 @@ def _states(model: Any, options: Options) -> States:
     return random_states(model, options.states, options.seed)
 
 
-def _examine(model: Any, pairs: Pairs, states: States, options: Options) -> Report:
-    """Runs the tests on all states, then the comparison with MuJoCo C."""
+def _examine(model: Any, pairs: Pairs, states: States, options: Options) -> bool:
+    """Sweep, comparison, picture: each is printed before the next, which may fail."""
     began = time.perf_counter()
-    data = mujoco.MjData(model)
-    batch = options.batch or batch_size(len(pairs), model.ngeom)
-    sample = Sample(options.sample, options.seed)
-    with _progress(states.total, shown=not options.json) as advance:
+    width = max(len(pairs), model.ngeom)
+    batch = min(options.batch or batch_size(width), states.total)
+    data, sample = mujoco.MjData(model), Sample(options.sample, options.seed)
+    with room_for(batch, width):
         # Compiles, for some ten seconds.
-        sweep = Sweep(model, pairs, options.dtype, min(batch, states.total), sample)
-        for done in sweep.run(data, states):
-            advance(done)
-    return Report(
-        labels=labels(model),
-        sweep=sweep,
-        crosscheck=crosscheck(model, data, pairs, sample.drawn()),
-        seconds=time.perf_counter() - began,
-    )
+        sweep = Sweep(model, pairs, options.dtype, batch, sample)
+    found = Report(labels(model), sweep, states.total, began)
+    with _object_at_the_end(found, options):
+        with room_for(batch, width):
+            _run_sweep(found, data, states, options)
+        found.crosscheck = crosscheck(model, data, pairs, sample.drawn())
+        found.tick()
+        _print(crosscheck_text(found), options)
+        if options.picture is not None:
+            found.picture = _draw(model, found, options)
+            _print(picture_text(found.picture), options)
+    return bool(found.agree())
 
 
-def _draw(model: Any, result: Report, options: Options) -> Picture:
+def _run_sweep(found: Report, data: Any, states: States, options: Options) -> None:
+    """Runs the tests on all states and prints what they found, up to an error if any.
+
+    Not up to Ctrl-C: it may come while a batch is being added.
+    """
+    try:
+        with _progress(states.total, shown=not options.json) as advance:
+            for done in found.sweep.run(data, states):
+                advance(done)
+    except Exception:
+        _end_sweep(found, options)
+        raise
+    _end_sweep(found, options)
+
+
+def _end_sweep(found: Report, options: Options) -> None:
+    found.swept = found.sweep.totals.states > 0
+    found.tick()
+    if found.swept:
+        _print(sweep_text(found, options), options)
+
+
+def _print(text: str, options: Options) -> None:
+    if not options.json:
+        write(text)
+
+
+@contextlib.contextmanager
+def _object_at_the_end(found: Report, options: Options) -> Iterator[None]:
+    """With `--json` prints all that was found, also if something fails."""
+    try:
+        yield
+    finally:
+        if options.json and found.swept:
+            write(as_json(found, options) + "\n")
+
+
+@contextlib.contextmanager
+def _words_of_mujoco() -> Iterator[None]:
+    """Its warnings on standard error, and its fatal errors as bad input.
+
+    It calls fatal what a model asks for and cannot have, like memory.
+    """
+    try:
+        with warnings_to(lambda text: complain(f"warning: MuJoCo: {one_line(text)}")):
+            yield
+    except mujoco.FatalError as error:
+        raise InputError(f"MuJoCo: {error}") from None
+
+
+def _draw(model: Any, found: Report, options: Options) -> Picture:
     """Draws the deepest state."""
     assert options.picture is not None
-    deepest = result.sweep.deepest
-    geom = result.sweep.pairs.geom
+    deepest = found.sweep.deepest
+    geom = found.sweep.pairs.geom
     view = View(
         scene=str(options.scene),
         qpos=deepest.qpos.tolist(),
@@ -99,7 +158,7 @@ def _progress(total: int, *, shown: bool) -> Iterator[Any]:
         MofNCompleteColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=not (shown and sys.stderr.isatty()),
+        disable=not (shown and sys.stderr is not None and sys.stderr.isatty()),
     )
     with bar:
         task = bar.add_task("states", total=total)

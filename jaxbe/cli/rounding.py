@@ -28,7 +28,8 @@ def ratio_rounding(half_extents: Floats, semi_axes: Floats, dtype: str) -> Float
     """
     fine, coarse = _RATIO_ROUNDING[dtype]
     longest = np.maximum(half_extents.max(axis=1), semi_axes.max(axis=1))
-    spread = longest / semi_axes.min(axis=1)
+    with np.errstate(over="ignore"):
+        spread = longest / semi_axes.min(axis=1)
     growth = np.maximum(1, spread / LARGE_SPREAD)
     return np.where(spread <= MODERATE_SPREAD, fine, coarse * growth)
 

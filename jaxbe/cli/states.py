@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxbe.cli.errors import InputError
+from jaxbe.cli.files import check_is_file
+from jaxbe.cli.shown import shown
 
 Floats = NDArray[np.floating[Any]]
 
@@ -18,6 +21,9 @@ FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+_ARCHIVE = b"PK\3\4"
+"""How an .npz file starts."""
 
 _UNIFORMS = {FREE: 6, BALL: 3, SLIDE: 1, HINGE: 1}
 """How many random numbers a joint of each type takes."""
@@ -71,11 +77,11 @@ def states_from_file(model: Any, path: Path) -> States:
     """
     qpos = _open_array(path)
     if qpos.dtype.kind not in "fiu":
-        raise InputError(f"{path}: qpos must be real numbers, got {qpos.dtype}")
+        raise InputError(f"{shown(path)}: qpos must be real numbers, got {qpos.dtype}")
     rows = qpos[None] if qpos.ndim == 1 else qpos
     if rows.ndim != 2 or rows.shape[1] != model.nq or not len(rows):
         raise InputError(
-            f"{path}: qpos must have shape (N, {model.nq}) or ({model.nq},), "
+            f"{shown(path)}: qpos must have shape (N, {model.nq}) or ({model.nq},), "
             f"got {qpos.shape}"
         )
     _check_finite(path, rows)
@@ -156,20 +162,31 @@ def _bounded_rotation(u: Floats, limit: float) -> Floats:
 
 
 def _open_array(path: Path) -> NDArray[Any]:
-    if not path.is_file():
-        raise InputError(f"no such file: {path}")
+    check_is_file(path)
     try:
-        # Mapped, not read: the file may be larger than memory.
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path} is not an .npy file of numbers: {error}") from None
-    if not isinstance(array, np.ndarray):
-        raise InputError(f"{path} is not an .npy file but an archive of arrays")
-    return array
+        return _mapped(path)
+    except OSError as error:
+        raise InputError(f"cannot read {shown(path)}: {error.strerror}") from None
+    except Exception as error:
+        # A header is an expression of Python: there is no end to what can be wrong.
+        raise InputError(
+            f"{shown(path)} is not an .npy file of numbers: {error}"
+        ) from None
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    """The array, not read: the file may be larger than memory."""
+    with path.open("rb") as file:
+        if file.read(len(_ARCHIVE)) == _ARCHIVE:
+            raise ValueError("it is an archive of arrays")
+    # NumPy's remarks on old and odd headers are no part of the report.
+    with warnings.catch_warnings(action="ignore"):
+        return np.lib.format.open_memmap(path, mode="r")
 
 
 def _check_finite(path: Path, rows: NDArray[Any], step: int = 10_000) -> None:
     for start in range(0, len(rows), step):
         ok = np.isfinite(rows[start : start + step]).all(axis=1)
         if not ok.all():
-            raise InputError(f"{path}: row {start + int(np.argmin(ok))} is not finite")
+            row = start + int(np.argmin(ok))
+            raise InputError(f"{shown(path)}: row {row} is not finite")

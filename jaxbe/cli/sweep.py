@@ -244,9 +244,9 @@ class Sweep:
             )
 
 
-def batch_size(pairs: int, geoms: int) -> int:
-    """States at a time, by the larger of the pairs and the geoms of a state."""
-    return max(1, PAIRS_PER_BATCH // max(pairs, geoms))
+def batch_size(width: int) -> int:
+    """States at a time, by the pairs or the geoms of a state, whichever are more."""
+    return max(1, PAIRS_PER_BATCH // width)
 
 
 def initial_poses(model: Any, batch: int, dtype: str) -> Poses:

@@ -12,6 +12,7 @@ from jaxbe.components import with_rank
 from jaxbe.mjx.given import check_given
 from jaxbe.mjx.poses import check_computed, geom_poses
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.validate import owned
 
 
 class HasGeoms(Protocol):
@@ -58,7 +59,7 @@ def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
 def bodies(ellipsoid: Any, box: Any, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
     """The bodies of geom ids, arrays of any shape: static, or one a state of data."""
     position, axes = geom_poses(model, data)
-    size = jnp.asarray(model.geom_size, position.dtype)
+    size = owned(model.geom_size, position.dtype)
     _check_same_model(position, size)
     check_computed(data)
     flat = axes.reshape(*axes.shape[:-2], 9)

@@ -90,9 +90,22 @@ def find_pairs(
 
 
 def geom_names(model: Any) -> list[str]:
-    """The name of every geom, empty where it has none."""
-    starts = np.asarray(model.name_geomadr)
-    return [model.names[i : model.names.index(b"\0", i)].decode() for i in starts]
+    """The name of every geom, empty where it has none; see `names_at`."""
+    return names_at(model, model.name_geomadr)
+
+
+def names_at(model: Any, starts: Any) -> list[str]:
+    """The names that start at these places of `model.names`.
+
+    MuJoCo takes any bytes. Those that are not UTF-8 become lone surrogates, as Python
+    has them in names of files and in `sys.argv`: nothing is lost, no two names become
+    one, and what the user types is found.
+    """
+    names = model.names
+    return [
+        names[i : names.index(b"\0", i)].decode(errors="surrogateescape")
+        for i in np.asarray(starts)
+    ]
 
 
 def _as_ids(name: str, given: Any) -> Ids:

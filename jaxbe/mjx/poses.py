@@ -11,7 +11,7 @@ import numpy as np
 from jaxbe.components import dot, matrix, split_matrix, split_vector, stack, vector
 from jaxbe.shapes import rotation_matrix
 from jaxbe.types import Matrices, Vectors
-from jaxbe.validate import is_readable
+from jaxbe.validate import is_readable, owned
 
 
 def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
@@ -24,8 +24,8 @@ def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
     """
     if not hasattr(data, "geom_xpos"):
         return _from_links(model, data.x)
-    position = jnp.asarray(data.geom_xpos)
-    return position, jnp.asarray(data.geom_xmat).reshape(*position.shape[:-1], 3, 3)
+    position, axes = owned(data.geom_xpos), owned(data.geom_xmat)
+    return position, axes.reshape(*position.shape[:-1], 3, 3)
 
 
 def check_computed(data: Any) -> None:

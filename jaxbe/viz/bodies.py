@@ -10,6 +10,7 @@ from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.viz.checks import check_box, check_ellipsoid
 from jaxbe.viz.solids import (
     BOX_COLOR,
     ELLIPSOID_COLOR,
@@ -48,15 +49,24 @@ def draw_bodies(
 
     Raises:
         ModuleNotFoundError: no matplotlib (at import).
+        TypeError: an argument of the wrong class.
+        ValueError: nothing to draw.
     """
+    if box is not None:
+        check_box(box)
+    if ellipsoid is not None:
+        check_ellipsoid(ellipsoid)
+    boxes, ellipsoids = _each(box, box_color), _each(ellipsoid, ellipsoid_color)
+    if not (boxes or ellipsoids):
+        raise ValueError("draw_bodies needs a box or an ellipsoid at least, got none")
     if axes is None:
         figure = Figure(figsize=(7, 7), layout="constrained")
         axes = figure.add_subplot(projection="3d")
     parts = []
-    for (center, turned, half), color in _each(box, box_color):
+    for (center, turned, half), color in boxes:
         parts.append((placed(box_faces(half, 8), turned, center), color))
         add_outline(axes, placed(box_faces(half, 1), turned, center), **OUTLINE)
-    for (center, turned, half), color in _each(ellipsoid, ellipsoid_color):
+    for (center, turned, half), color in ellipsoids:
         faces = ellipsoid_faces(half, rings)
         parts.append((placed(faces, turned, center), color))
     add_faces(axes, parts)

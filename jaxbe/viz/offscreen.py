@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import struct
 import sys
 import zlib
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxbe.viz.markers import add_caption, add_markers
+from jaxbe.viz.mujoco_log import warnings_to
 from jaxbe.viz.view import Color, Mark, Point, View
 
 SIDE = 720
@@ -42,7 +44,9 @@ Direction = tuple[float, float]
 def main() -> None:
     """Reads the view from standard input and writes the picture."""
     view = View.from_json(json.load(sys.stdin))
-    Path(sys.argv[1]).write_bytes(png(render(view)))
+    with warnings_to(lambda text: print(text, file=sys.stderr)):
+        image = render(view)
+    Path(sys.argv[1]).write_bytes(png(image))
 
 
 def render(view: View) -> Image:
@@ -69,9 +73,11 @@ def render(view: View) -> Image:
 
 def _load(scene: str) -> Any:
     """The model, from XML or as it was saved."""
+    # As bytes: the name of a file need not be UTF-8.
+    file = os.fsencode(scene)
     if scene.endswith(".mjb"):
-        return mujoco.MjModel.from_binary_path(scene)
-    return mujoco.MjModel.from_xml_path(scene)
+        return mujoco.MjModel.from_binary_path(file)
+    return mujoco.MjModel.from_xml_path(file)
 
 
 def png(image: Image) -> bytes:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxbe.contact import contact
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.viz.checks import check_box, check_ellipsoid
 from jaxbe.viz.solids import (
     BOX_COLOR,
     ELLIPSOID_COLOR,
@@ -47,8 +48,11 @@ def draw_pair(box: Box, ellipsoid: Ellipsoid, axes: Any = None) -> Any:
 
     Raises:
         ModuleNotFoundError: no matplotlib (at import).
+        TypeError: an argument of the wrong class.
         ValueError: a batch of pairs; or numbers that are not finite.
     """
+    check_box(box)
+    check_ellipsoid(ellipsoid)
     shapes = box.check_form(), ellipsoid.check_form()
     if shapes != ((), ()):
         raise ValueError(

@@ -72,25 +72,31 @@ def _backends() -> list[str]:
     return ["egl", "osmesa"] if sys.platform == "linux" else [""]
 
 
+def _search_path() -> str:
+    """PYTHONPATH with this package, and without empty entries.
+
+    To Python they are the current folder, where a `mujoco.py` may lie beside a scene.
+    """
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, given)])
+
+
 def _render(view: View, path: Path, backend: str) -> str | None:
     """Renders in a process of its own; returns what went wrong, if anything.
 
     With MUJOCO_GL set and its library missing, even `import mujoco` fails; and a
     broken driver may crash or hang.
     """
-    package_root = str(Path(__file__).parents[2])
-    search = [package_root, os.environ.get("PYTHONPATH", "")]
-    environment = os.environ | {
-        "MUJOCO_GL": backend,
-        "PYTHONPATH": os.pathsep.join(filter(None, search)),
-    }
+    environment = os.environ | {"MUJOCO_GL": backend, "PYTHONPATH": _search_path()}
     try:
         child = subprocess.run(
-            [sys.executable, "-m", "jaxbe.viz.offscreen", str(path)],
+            # -P: else Python looks for modules in the current folder first.
+            [sys.executable, "-P", "-m", "jaxbe.viz.offscreen", str(path)],
             input=json.dumps(view),
             env=environment,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
+            errors="backslashreplace",
             timeout=RENDER_SECONDS,
             check=False,
         )

@@ -45,7 +45,11 @@ def render(
 
     Raises:
         ModuleNotFoundError: no mujoco or matplotlib (at import).
+        TypeError: another kind of model.
     """
+    if not isinstance(model, mujoco.MjModel):
+        given = type(model).__name__
+        raise TypeError(f"model must be a mujoco.MjModel, got {given}")
     model = copy.copy(model)
     mocap = model.body_mocapid >= 0
     order = model.body_mocapid[mocap]

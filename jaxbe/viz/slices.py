@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from jaxbe.margin import margin
 from jaxbe.shapes import Box, Ellipsoid
+from jaxbe.viz.checks import check_box, check_ellipsoid
 
 LEVELS = np.arange(-1, 1.51, 0.125)
 """Of the function, below zero overlap."""
@@ -64,9 +65,12 @@ def draw_slice(
 
     Raises:
         ModuleNotFoundError: no matplotlib (at import).
+        TypeError: an argument of the wrong class.
         ValueError: a batch of ellipsoids, boxes with more than one batch axis, or
             another number for `across`.
     """
+    check_box(box)
+    check_ellipsoid(ellipsoid)
     batch, own = box.check_form(), ellipsoid.check_form()
     if len(batch) > 1 or own:
         raise ValueError(
