@@ -4,15 +4,16 @@
 
 Two slides and a wrist carry a palm and two fingers. The target lies behind a gap
 between two boxes, and the hand has to turn to get through. The smallest margin of all
-ellipsoid-box pairs says how near it is to touching: below zero the episode ends, and
-the reward falls off before that.
+ellipsoid-box pairs says how near it is to touching: unless it is at least zero the
+episode ends, and the reward falls off before that.
 
 The dynamics have no contacts and no joint limits: an episode ends where a contact would
 begin, so there is none to simulate, and a step without the solver is cheap and can be
-differentiated in reverse mode, too. So the pairs are found by the rules of the model as
-written, and MJX, which refuses models whose ellipsoids and boxes may collide, gets one
-whose geoms collide with nothing. (To simulate contacts, load, make data and step inside
-`jaxbe.mjx.collision_enabled` instead.)
+differentiated in reverse mode, too. (With constraints that is so only where the model
+says `<option iterations="1"/>`; in forward mode it always is.) So the pairs are found
+by the rules of the model as written, and MJX, which refuses models whose ellipsoids and
+boxes may collide, gets one whose geoms collide with nothing. (To simulate contacts,
+load, make data and step inside `jaxbe.mjx.collision_enabled` instead.)
 """
 
 from __future__ import annotations
@@ -123,7 +124,8 @@ class Reach(Env):
         way = info["target"] - data.site_xpos[0, :2]
         distance, nearest = safe_norm(way), margins.min()
         reward = _reward(distance, nearest)
-        done = (nearest < 0).astype(reward.dtype)
+        # Not `nearest < 0`: NaN, of a state that diverged, must end the episode, too.
+        done = (~(nearest >= 0)).astype(reward.dtype)
         return State(
             pipeline_state=data,
             obs=_observation(data, way, margins),

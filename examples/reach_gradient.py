@@ -1,6 +1,7 @@
 """python examples/reach_gradient.py --output reach-gradient.png  (--quick: shorter).
 
-Gradients through the dynamics of `reach_env.Reach`: the forces of one episode are
+Gradients through the dynamics of `reach_env.Reach`, in reverse mode, which goes through
+`mjx.step` only where its solver does not iterate: the forces of one episode are
 optimised with optax, without and with the clearance, a penalty on the margins of all
 pairs. Without, the shortest way leads through a box; the margin's gradient, which has
 a direction at every depth of an overlap, turns the hand and leads it through the gap.

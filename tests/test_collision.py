@@ -1,6 +1,8 @@
 """The switch: MJX's table of collision functions, on and off again."""
 
+import contextlib
 import importlib.metadata
+import re
 import subprocess
 import sys
 import threading
@@ -122,13 +124,64 @@ def test_a_function_that_came_later_stays():
 
 
 @pytest.mark.parametrize("version", ["3.3.5", "3.3.10", "3.4.0.dev1", "3.17.0", "3.17"])
-def test_supported_versions(monkeypatch, version):
+def test_supported_versions(monkeypatch, recwarn, version):
     monkeypatch.setattr(importlib.metadata, "version", lambda _: version)
     with collision_enabled():
         assert PAIR in table()
+    assert not recwarn.list
 
 
-@pytest.mark.parametrize("version", ["3.3.4", "3.2.7", "2.9", "3.18.0", "4.0.0", "?"])
+@pytest.mark.parametrize("version", ["3.18.0", "3.18.0.dev1", "4.0.0", "10.1"])
+def test_newer_versions_work_with_a_warning(monkeypatch, version):
+    """As long as the table is as expected."""
+    monkeypatch.setattr(importlib.metadata, "version", lambda _: version)
+    message = rf"mujoco-mjx {re.escape(version)} is newer than .*3\.17"
+    with pytest.warns(UserWarning, match=message) as caught, collision_enabled():
+        mjx.put_model(model_of())
+    assert [w.filename for w in caught] == [__file__]
+    with pytest.warns(UserWarning, match=message):
+        enable_collision()
+    disable_collision()
+    monkeypatch.setattr(collision_driver, "_COLLISION_FUNC", {})
+    with pytest.raises(RuntimeError, match=f"not as jaxbe expects.*{version}"):
+        enable_collision()
+    monkeypatch.undo()
+
+
+def warned_by(enable):
+    with pytest.warns(UserWarning, match="left in place") as caught:
+        enable()
+    return [(w.filename, w.lineno) for w in caught]
+
+
+def test_warnings_name_the_line_that_enabled(monkeypatch):
+    """Whichever way it did: a block, a decorator, a stack of blocks, the switch."""
+    monkeypatch.setitem(table(), PAIR, print)
+
+    def block():
+        with collision_enabled():
+            pass
+
+    def stack():
+        with contextlib.ExitStack() as blocks:
+            blocks.enter_context(collision_enabled())
+
+    decorated = collision_enabled()(lambda: None)
+
+    def decorator():
+        decorated()
+
+    for enable in (block, stack, decorator, enable_collision):
+        [(filename, line)] = warned_by(enable)
+        assert filename == __file__
+        if enable is not enable_collision:
+            first = enable.__code__.co_firstlineno
+            assert first < line <= first + 2
+    disable_collision()
+    monkeypatch.undo()
+
+
+@pytest.mark.parametrize("version", ["3.3.4", "3.2.7", "2.9", "?"])
 def test_other_versions(monkeypatch, version):
     monkeypatch.setattr(importlib.metadata, "version", lambda _: version)
     for enable in (enable_collision, collision_enabled().__enter__):
@@ -154,12 +207,26 @@ def test_mjx_is_missing(monkeypatch):
         enable_collision()
 
 
-@pytest.mark.parametrize("other", [None, [], {}, {(4, 4): print}, {(4, 4): 1}])
+def of_other_arguments(model, data, geom):
+    """A collision function as it may look in a later MJX."""
+
+
+of_other_arguments.ncon = 1
+
+
+@pytest.mark.parametrize(
+    "other",
+    [None, [], {}, {(4, 4): print}, {(4, 4): 1}, {(4, 4): of_other_arguments}],
+)
 def test_a_table_that_is_not_as_expected(monkeypatch, other):
     monkeypatch.setattr(collision_driver, "_COLLISION_FUNC", other)
     with pytest.raises(RuntimeError, match="not as jaxbe expects"):
         enable_collision()
     monkeypatch.delattr(collision_driver, "_COLLISION_FUNC")
+    with pytest.raises(RuntimeError, match="not as jaxbe expects"):
+        enable_collision()
+    monkeypatch.undo()
+    monkeypatch.delattr("mujoco.mjx._src.math.make_frame")
     with pytest.raises(RuntimeError, match="not as jaxbe expects"):
         enable_collision()
     monkeypatch.undo()

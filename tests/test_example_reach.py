@@ -54,6 +54,16 @@ def touches(env, qpos):
     return min(mujoco.mj_geomDistance(model, data, *p, 10.0, None) for p in pairs) < 0
 
 
+def test_an_episode_ends_where_its_state_is_nan(env):
+    """Which is not below zero."""
+    start = jax.jit(jax.vmap(env.start, in_axes=(0, None)))
+    lost = places(400).copy()
+    lost[7, 0] = np.nan
+    done = start(lost, jnp.array(reach_env.TARGET)).done
+    assert done[7] == 1
+    np.testing.assert_array_equal(np.delete(done, 7), np.delete(standing(env).done, 7))
+
+
 def test_an_episode_ends_where_mujoco_finds_a_touch(env):
     state = standing(env)
     expected = np.array([touches(env, qpos) for qpos in places(400)])

@@ -14,7 +14,7 @@ import jaxbe
 from benchmarks import scenes
 from benchmarks.reference import value_along
 from jaxbe.lower_bound import MAX_STEPS
-from jaxbe.mjx import Pairs, bounds, filter_contacts, find_pairs, gather
+from jaxbe.mjx import Candidates, Pairs, bounds, filter_contacts, find_pairs, gather
 from jaxbe.mjx.margins import contact_distance
 from tests import programs
 from tests.distance_reference import found
@@ -481,6 +481,12 @@ def test_pairs_of_another_model_are_refused(model):
         filter_contacts(pairs, model, random_data(model, 0), distance=0.0)
 
 
+def test_candidates_are_no_pairs_to_be_filtered(model, pairs):
+    candidates = Candidates(pairs.geom, np.zeros(4), np.ones(4, bool), np.zeros(()))
+    with pytest.raises(TypeError, match="must be from find_pairs, got Candidates"):
+        filter_contacts(candidates, model, random_data(model, 0), distance=0.0)
+
+
 def batched(model, pairs, max_pairs):
     def run(position, axes):
         poses = types.SimpleNamespace(geom_xpos=position, geom_xmat=axes)
@@ -536,6 +542,77 @@ def test_gradients_are_finite(model, pairs, dtype):
     assert np.any(gradient)
 
 
+OVERRIDE = 'o_margin="{margin}"><flag override="enable"/>'
+
+
+def above_a_box(override="", ellipsoid="", box="", contact=""):
+    """An ellipsoid that slides up from a box; it touches it at 0.25 m."""
+    return mujoco.MjModel.from_xml_string(f"""
+    <mujoco><option {override or ">"}</option>
+      <worldbody>
+        <geom name="b" type="box" size=".3 .2 .1" {box}/>
+        <body><joint type="slide" axis="0 0 1"/>
+          <geom name="e" type="ellipsoid" size=".1 .2 .15" {ellipsoid}/>
+        </body>
+      </worldbody><contact>{contact}</contact></mujoco>""")
+
+
+def at_height(model, gap):
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.25 + gap
+    mujoco.mj_forward(model, data)
+    return data
+
+
+PAIR = '<pair geom1="e" geom2="b" {}/>'
+
+MARGINS = {
+    "gap, overridden": {"override": 0.2, "box": 'gap=".06"'},
+    "both gaps, overridden": {
+        "override": 0.2, "box": 'margin=".5" gap=".06"', "ellipsoid": 'gap=".01"',
+    },
+    "none, overridden": {"override": 0.2},
+    "large margins, overridden by none": {
+        "override": 0.0, "box": 'margin=".5"', "ellipsoid": 'margin=".3" gap=".01"',
+    },
+    "overridden by less than none": {"override": -0.1, "box": 'margin=".5" gap=".2"'},
+    "pair's gap, overridden": {
+        "override": 0.2, "box": 'gap=".06"', "contact": PAIR.format('gap=".03"'),
+    },
+    "pair's margin, overridden": {
+        "override": 0.2, "box": 'gap=".06"', "contact": PAIR.format('margin=".4"'),
+    },
+    "pair": {"contact": PAIR.format('margin=".3" gap=".03"')},
+    "pair, and geoms": {"contact": PAIR.format(""), "box": 'margin=".3" gap=".03"'},
+    "geoms": {"box": 'margin=".3" gap=".03"', "ellipsoid": 'margin=".1" gap=".2"'},
+    "below zero": {"box": 'margin=".3" gap="-.03"', "ellipsoid": 'margin="-.1"'},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MARGINS)
+def test_the_default_distance_is_that_of_mujoco_c(case):
+    """What C makes a contact of is kept, and little that is further away."""
+    given = dict(MARGINS[case])
+    if "override" in given:
+        given["override"] = OVERRIDE.format(margin=given["override"])
+    model = above_a_box(**given)
+    pairs, data, touching = find_pairs(model), [], []
+    for gap in np.arange(-0.05, 0.75, 0.01) + 0.005:
+        data.append(poses_of(at_height(model, gap)))
+        touching.append(at_height(model, gap).ncon > 0)
+    data = types.SimpleNamespace(
+        geom_xpos=np.stack([d.geom_xpos for d in data]),
+        geom_xmat=np.stack([d.geom_xmat for d in data]),
+    )
+    kept = np.asarray(filter_contacts(pairs, model, data).valid[:, 0])
+    assert not np.any(touching & ~kept)
+    assert 5 <= np.sum(touching) < 70
+    # Of versions before 3.9.0 more is kept, and where margins or gaps are negative.
+    version = tuple(int(x) for x in mujoco.__version__.split(".")[:2])
+    if version >= (3, 9) and "below" not in case and "less" not in case:
+        assert np.sum(kept) == np.sum(touching)
+
+
 def test_the_margin_that_overrides_contacts():
     """As MuJoCo C has it: what it makes a contact of is kept."""
     model = mujoco.MjModel.from_xml_string("""
@@ -552,3 +629,25 @@ def test_the_margin_that_overrides_contacts():
     assert data.ncon == 1
     kept = filter_contacts(find_pairs(model), model, data, max_pairs=3)
     np.testing.assert_array_equal(kept.valid, [True, False, False])
+
+
+def test_what_overflows_is_no_nearer_than_the_last_bound(model, pairs):
+    """So the nearest distance has a lower bound, whatever had no place."""
+    data = [random_data(model, seed) for seed in range(100)]
+    exact = np.array(
+        [
+            [mujoco.mj_geomDistance(model, d, e, b, 9, None) for e, b in pairs.geom]
+            for d in data
+        ]
+    )
+    some = filter_contacts(
+        pairs, model, stacked(model, range(100)), distance=np.inf, max_pairs=1
+    )
+    assert np.all(some.overflow == 3)
+    kept = (np.asarray(some.geom) == pairs.geom).all(axis=-1)
+    left_out = np.where(kept, np.inf, exact).min(axis=1)
+    # To the tolerance of MuJoCo, whose depths may be longer than the least.
+    apart = left_out > 0
+    assert np.sum(apart) > 80
+    last = np.asarray(some.distance)[:, -1]
+    assert np.all(left_out[apart] >= last[apart] - 1e-6)

@@ -11,7 +11,7 @@ from mujoco import mjx
 from mujoco.mjx._src import collision_driver
 
 from jaxbe import overlap, scaled_distance
-from jaxbe.mjx import Pairs, find_pairs, gather
+from jaxbe.mjx import Pairs, filter_contacts, find_pairs, gather, scene_facts
 
 SCENE = """
 <mujoco><worldbody>
@@ -185,6 +185,139 @@ def test_data_of_another_model_are_refused(model, pairs):
     )
     with pytest.raises(ValueError, match="same geoms, got 5 in geom_size and 1"):
         gather(pairs, model, mujoco.MjData(other))
+
+
+def unnamed(name):
+    """A model of five geoms, as `SCENE`, of other types."""
+    geoms = f'<geom type="{name}" size=".1 .1 .1"/>' * 5
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"
+    )
+
+
+QUERIES = {"gather": gather, "filter_contacts": filter_contacts}
+
+
+@pytest.fixture(params=QUERIES)
+def query(request):
+    return QUERIES[request.param]
+
+
+@pytest.mark.parametrize("ids", [[3, 9], [9, 0]])
+def test_pairs_of_a_larger_model_are_refused(query, model, ids):
+    data, pairs = random_data(model, 0), Pairs(np.array([ids]))
+    message = "pairs name geom 9, the model has 5"
+    with pytest.raises(ValueError, match=message):
+        query(pairs, model, data)
+    sizes = types.SimpleNamespace(geom_size=model.geom_size)
+    with pytest.raises(ValueError, match=message):
+        query(pairs, sizes, data)
+    with pytest.raises(ValueError, match=message):
+        scene_facts(pairs, model)
+
+
+def test_pairs_of_a_model_of_other_types_are_refused(query, pairs, model):
+    other = unnamed("box")
+    data = mujoco.MjData(other)
+    mujoco.mj_kinematics(other, data)
+    message = (
+        "pairs name geoms 3 and 0 as an ellipsoid and a box, the model has a box and "
+        "a box there: find them in this model"
+    )
+    with pytest.raises(ValueError, match=message):
+        query(pairs, other, data)
+    with pytest.raises(ValueError, match=message):
+        query(pairs, mjx.put_model(other), data)
+    swapped = Pairs(pairs.geom[:, ::-1])
+    with pytest.raises(ValueError, match="the model has a box and an ellipsoid there"):
+        query(swapped, model, random_data(model, 0))
+    with pytest.raises(ValueError, match="the model has a box and a box there"):
+        scene_facts(pairs, other)
+
+
+def test_pairs_of_elements_that_the_model_has_not_are_refused(pairs, model):
+    known = Pairs(pairs.geom, np.array([[0, 2]]))
+    with pytest.raises(ValueError, match="<pair> element 2, the model has 0"):
+        filter_contacts(known, model, random_data(model, 0))
+
+
+NEITHER = {
+    "path": ("robot.xml", "from_xml_path"),
+    "spec": (mujoco.MjSpec(), "got MjSpec: compile it"),
+    "None": (None, "got None"),
+}
+
+
+@pytest.mark.parametrize("kind", NEITHER)
+def test_what_is_no_model_or_no_data_is_named(query, pairs, model, kind):
+    given, message = NEITHER[kind]
+    with pytest.raises(TypeError, match=f"model must be .*MjModel.*{message}"):
+        query(pairs, given, random_data(model, 0))
+    with pytest.raises(TypeError, match=r"data must be .*MjData"):
+        query(pairs, model, given)
+    with pytest.raises(TypeError, match=f"model must be .*MjModel.*{message}"):
+        scene_facts(pairs, given)
+
+
+def test_arguments_in_the_wrong_order_are_named(query, pairs, model):
+    data = random_data(model, 0)
+    with pytest.raises(TypeError, match="got MjData, which is data, not a model"):
+        query(pairs, data, model)
+    with pytest.raises(TypeError, match="got MjModel, which is a model, not data"):
+        query(pairs, model, model)
+    for other in (model, data, None, pairs.geom):
+        with pytest.raises(TypeError, match="pairs must be from find_pairs"):
+            query(other, model, data)
+
+
+# Poses that were never computed.
+
+
+def test_poses_that_were_never_computed_are_refused(query, pairs, model):
+    never = r"never computed: call mujoco\.mj_forward.* or mjx\.kinematics"
+    with pytest.raises(ValueError, match=never):
+        query(pairs, model, mujoco.MjData(model))
+    data = random_data(model, 0)
+    mujoco.mj_resetData(model, data)
+    with pytest.raises(ValueError, match=never):
+        query(pairs, model, data)
+    batch = [poses_of(random_data(model, 0)), poses_of(data)]
+    batch = types.SimpleNamespace(
+        geom_xpos=jnp.stack([d.geom_xpos for d in batch]),
+        geom_xmat=jnp.stack([d.geom_xmat for d in batch]),
+    )
+    with pytest.raises(ValueError, match=never):
+        query(pairs, model, batch)
+
+
+@pytest.mark.usefixtures("allow_pairs")
+def test_poses_of_mjx_that_were_never_computed_are_refused(query, pairs, model):
+    on_device = mjx.put_model(model)
+    data = mjx.make_data(on_device)
+    with pytest.raises(ValueError, match="never computed"):
+        query(pairs, on_device, data)
+
+    def verdict(data):
+        return overlap(*gather(pairs, on_device, data))
+
+    # Traced ones cannot be seen: NaN, which counts as touching.
+    assert jax.jit(verdict)(data).all()
+
+
+def test_poses_of_brax_that_were_never_computed_are_refused(query, pairs, model):
+    x = types.SimpleNamespace(pos=np.zeros((2, 3)), rot=np.zeros((2, 4)))
+    with pytest.raises(ValueError, match="never computed"):
+        query(pairs, model, types.SimpleNamespace(x=x))
+
+
+def test_no_state_at_all_was_computed_well_enough(query, pairs, model):
+    """A batch of no states, and a model without geoms."""
+    none = types.SimpleNamespace(
+        geom_xpos=np.zeros((0, 5, 3)), geom_xmat=np.zeros((0, 5, 9))
+    )
+    assert jax.tree.leaves(query(pairs, model, none))[0].shape[0] == 0
+    empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+    query(Pairs(np.zeros((0, 2), int)), empty, mujoco.MjData(empty))
 
 
 def mjx_state(model, qpos):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,10 @@ def pairs_of(model: Any, geoms: list[str] | None) -> Pairs:
         InputError: there are none, or a name is unknown.
     """
     try:
-        pairs = find_pairs(model, geoms)
+        with warnings.catch_warnings():
+            # Here it is an error.
+            warnings.simplefilter("ignore", UserWarning)
+            pairs = find_pairs(model, geoms)
     except ValueError as error:
         raise InputError(error) from None
     if not len(pairs):

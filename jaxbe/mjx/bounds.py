@@ -52,7 +52,9 @@ def of_pairs(query: Query, geom: Ids, model: Any, data: Any) -> Scalars:
         # In a loop of its own, or each use of it would compute it again.
         return kept_from(found, jnp.broadcast_to(box.center[..., 0], found.shape))
     table = query(*bodies(ellipsoids[:, None], boxes[None, :], model, data))
-    return table.reshape(*table.shape[:-2], -1)[..., row * len(boxes) + column]
+    # No -1: there may be no state at all.
+    flat = table.reshape(*table.shape[:-2], len(ellipsoids) * len(boxes))
+    return flat[..., row * len(boxes) + column]
 
 
 def _bound(steps: int) -> Query:

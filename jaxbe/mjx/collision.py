@@ -32,11 +32,16 @@ def collision_enabled() -> Iterator[None]:
     A pair has one contact, as in MuJoCo C, that of `jaxbe.contact`, in MuJoCo's
     conventions: the distance, negative when they overlap; the point half way between
     the witness points; a frame with the normal from the ellipsoid to the box. It can be
-    differentiated, forward and reverse.
+    differentiated, forward and reverse. So can `mjx.step` in forward mode (`jax.jvp`,
+    `jax.jacfwd`); in reverse mode (`jax.grad`) only if the model has no constraints
+    that MJX solves for, or `<option iterations="1"/>`: the solver's loop is a
+    `while_loop`, which JAX cannot run backwards.
+
+    With a mujoco-mjx newer than 3.17, which jaxbe was not tested with, it warns.
 
     Raises:
         ImportError: there is no mujoco-mjx.
-        RuntimeError: its version is not from 3.3.5 to 3.17, or its private table, into
+        RuntimeError: its version is older than 3.3.5, or its private table, into
             which the function is put, is not as expected.
     """
     holder = object()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from jaxbe.mjx.given import check_pairs
 from jaxbe.mjx.pairs import Pairs
 from jaxbe.scene_facts import SceneFacts, facts_of_lengths
 
@@ -17,9 +18,10 @@ def scene_facts(pairs: Pairs, model: Any) -> SceneFacts:
             `mujoco.MjModel`, an `mjx.Model` or a Brax system, also with batch axes.
 
     Raises:
-        TypeError: sizes that are traced.
-        ValueError: no pair, or sizes that are not positive.
+        TypeError: sizes that are traced, or what is not a model or its pairs.
+        ValueError: no pair, sizes that are not positive, or pairs of another model.
     """
+    check_pairs(pairs, model)
     if not len(pairs):
         raise ValueError("the model has no pair of an ellipsoid and a box")
     size = model.geom_size

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbe.components import with_rank
-from jaxbe.mjx.poses import geom_poses
+from jaxbe.mjx.given import check_given
+from jaxbe.mjx.poses import check_computed, geom_poses
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.validate import owned
 
@@ -24,7 +25,9 @@ class HasGeoms(Protocol):
 def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
     """Gathers the bodies of each pair, in metres and the world frame.
 
-    Values are not read, so NaN poses pass: works under `jit`, `vmap` and `grad`.
+    NaN poses pass, and it works under `jit`, `vmap` and `grad`. Poses at hand that were
+    never computed are refused; traced ones give NaN. So ask `~(margin >= 0)` whether
+    bodies may touch, not `margin < 0`, which NaN is not.
 
     Args:
         pairs: from `find_pairs`, of the same model; or what `filter_contacts` left of
@@ -43,9 +46,12 @@ def gather(pairs: HasGeoms, model: Any, data: Any) -> tuple[Box, Ellipsoid]:
         poses. The lengths keep the batch axes of `geom_size`, which broadcast.
 
     Raises:
-        TypeError: poses that are not float32 or float64.
-        ValueError: shapes that do not fit together, or pairs of a larger model.
+        TypeError: poses that are not float32 or float64; what is not a model, its data
+            or pairs.
+        ValueError: shapes that do not fit together; pairs of another model, as far as
+            its number of geoms and their types tell; poses that were never computed.
     """
+    check_given(pairs, model, data)
     geom = pairs.geom
     return bodies(geom[..., 0], geom[..., 1], model, data)
 
@@ -54,7 +60,8 @@ def bodies(ellipsoid: Any, box: Any, model: Any, data: Any) -> tuple[Box, Ellips
     """The bodies of geom ids, arrays of any shape: static, or one a state of data."""
     position, axes = geom_poses(model, data)
     size = owned(model.geom_size, position.dtype)
-    _check_same_model((ellipsoid, box), position, size)
+    _check_same_model(position, size)
+    check_computed(data)
     flat = axes.reshape(*axes.shape[:-2], 9)
 
     def fields(ids: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -73,16 +80,9 @@ def _rows(x: jax.Array, ids: Any) -> jax.Array:
     return jnp.take_along_axis(with_rank(x, rank), with_rank(ids[..., None], rank), -2)
 
 
-def _check_same_model(ids: Any, position: jax.Array, size: jax.Array) -> None:
-    """JAX would clamp an index that is out of range and answer for another geom."""
+def _check_same_model(position: jax.Array, size: jax.Array) -> None:
     if position.shape[-2] != size.shape[-2]:
         raise ValueError(
             f"model and data must have the same geoms, got {size.shape[-2]} in "
             f"geom_size and {position.shape[-2]} in geom_xpos"
-        )
-    static = [x.max(initial=-1) for x in ids if isinstance(x, np.ndarray)]
-    if max(static, default=-1) >= size.shape[-2]:
-        raise ValueError(
-            f"pairs name geom {max(static)}, the model has {size.shape[-2]} "
-            "geoms: find them in this model"
         )

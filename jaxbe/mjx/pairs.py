@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-ELLIPSOID = 4
-"""`mujoco.mjtGeom.mjGEOM_ELLIPSOID`."""
-
-BOX = 6
-"""`mujoco.mjtGeom.mjGEOM_BOX`."""
+from jaxbe.mjx.geom_types import BOX, ELLIPSOID, counts
+from jaxbe.mjx.given import check_model
+from jaxbe.mjx.warn import warn_caller
 
 Ids = NDArray[np.integer[Any]]
 Mask = NDArray[np.bool_]
+
+AT_ONCE = 1 << 18
+"""Pairs that the rules are applied to at once: what they need fits a cache."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,18 +26,23 @@ class Pairs:
     """The ellipsoid-box pairs of a model, chosen once and static under `jit`.
 
     Attributes:
-        geom: (P, 2) geom ids in MJX's order, [ellipsoid, box]. Read-only, sorted
-            by ellipsoid, then box; no pair twice.
+        geom: (P, 2) geom ids in MJX's order, [ellipsoid, box]. Read-only; those of
+            `find_pairs` are sorted by ellipsoid, then box, no pair twice.
         explicit: (n, 2), for each `<pair>` element of the model that names one of
             them: the pair's row in `geom`, and the element's id. Read-only.
+
+    Raises:
+        TypeError: ids that are not integers.
+        ValueError: negative ids, or another shape.
     """
 
     geom: Ids
     explicit: Ids = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
 
     def __post_init__(self) -> None:
-        self.geom.flags.writeable = False
-        self.explicit.flags.writeable = False
+        for field in dataclasses.fields(self):
+            ids = _as_ids(field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, ids)
 
     def __len__(self) -> int:
         return len(self.geom)
@@ -55,6 +62,9 @@ def find_pairs(
     the flags that disable contacts or constraints do not matter unless asked for:
     they are about the simulation, not about the geometry.
 
+    Warns if there is no pair, and says what geoms there are: without pairs nothing is
+    ever near. Only where `only_enabled` finds contacts disabled that is an answer.
+
     Args:
         model: a `mujoco.MjModel` or an `mjx.Model`.
         geoms: names or ids of geoms of any type; keeps the pairs in which at
@@ -62,24 +72,21 @@ def find_pairs(
         only_enabled: find no pairs in a model that disables contacts or constraints.
 
     Raises:
-        TypeError: `geoms` is one string instead of several.
+        TypeError: what is not a model; `geoms` that is not several, or has what is
+            neither a name nor an integer.
         ValueError: `geoms` has a name or an id that the model has not.
     """
-    chosen = range(model.ngeom) if geoms is None else _geom_ids(model, geoms)
+    check_model(model, "geom_type", "geom_contype")
+    chosen = _chosen(model, geoms)
     if only_enabled and _is_disabled(model, "CONTACT", "CONSTRAINT"):
         return Pairs(np.zeros((0, 2), int))
-    types = np.asarray(model.geom_type)
-    ellipsoid, box = np.flatnonzero(types == ELLIPSOID), np.flatnonzero(types == BOX)
-    allowed = np.argwhere(_may_collide(model, ellipsoid[:, None], box[None, :]))
-    by_filters = np.stack([ellipsoid[allowed[:, 0]], box[allowed[:, 1]]], axis=1)
     elements, ids = _explicit(model)
-    pairs, rows = np.unique(
-        np.concatenate([by_filters, elements]), axis=0, return_inverse=True
-    )
-    rows = rows.reshape(-1)[len(by_filters) :]
-    wanted = np.asarray(np.isin(pairs, chosen).any(axis=1))
-    explicit = np.stack([np.cumsum(wanted)[rows] - 1, ids], axis=1)
-    return Pairs(pairs[wanted], explicit[wanted[rows]])
+    pairs = _pairs(model, chosen, elements)
+    if not len(pairs):
+        _warn_of_none(model, None if geoms is None else chosen)
+    wanted = chosen[elements].any(axis=1)
+    rows = _rows(pairs, elements[wanted], model.ngeom)
+    return Pairs(pairs, np.stack([rows, ids[wanted]], axis=1))
 
 
 def geom_names(model: Any) -> list[str]:
@@ -99,6 +106,68 @@ def names_at(model: Any, starts: Any) -> list[str]:
         names[i : names.index(b"\0", i)].decode(errors="surrogateescape")
         for i in np.asarray(starts)
     ]
+
+
+def _as_ids(name: str, given: Any) -> Ids:
+    ids = np.asarray(given)
+    if ids.dtype.kind not in "iu":
+        raise TypeError(f"Pairs: {name} must be of integer ids, got {ids.dtype}")
+    if ids.ndim != 2 or ids.shape[1] != 2:
+        raise ValueError(f"Pairs: {name} must have shape (P, 2), got {ids.shape}")
+    if ids.min(initial=0) < 0:
+        raise ValueError(f"Pairs: {name} ids must not be negative, got {ids.min()}")
+    # What can still be written to belongs to somebody else.
+    ids = ids.copy() if ids.flags.writeable else ids
+    ids.flags.writeable = False
+    return ids
+
+
+def _pairs(model: Any, chosen: Mask, elements: Ids) -> Ids:
+    """The pairs (P, 2) that may collide, a portion of the ellipsoids at a time."""
+    types = np.asarray(model.geom_type)
+    ellipsoid, box = np.flatnonzero(types == ELLIPSOID), np.flatnonzero(types == BOX)
+    portion = max(1, AT_ONCE // max(1, len(box)))
+    found = [
+        _pairs_of(model, ellipsoid[i : i + portion], box, chosen, elements)
+        for i in range(0, len(ellipsoid), portion)
+    ]
+    pairs = np.concatenate([np.zeros((0, 2), int), *found])
+    pairs.flags.writeable = False
+    return pairs
+
+
+def _pairs_of(model: Any, ellipsoid: Ids, box: Ids, chosen: Mask, elements: Ids) -> Ids:
+    """Those of some ellipsoids (n,) with the boxes (m,), both sorted."""
+    allowed = _may_collide(model, ellipsoid[:, None], box)
+    explicit = elements[np.isin(elements[:, 0], ellipsoid)]
+    rows, columns = (
+        np.searchsorted(x, y) for x, y in zip((ellipsoid, box), explicit.T, strict=True)
+    )
+    allowed[rows, columns] = True
+    rows, columns = np.nonzero(allowed & (chosen[ellipsoid, None] | chosen[box]))
+    return np.stack([ellipsoid[rows], box[columns]], axis=1)
+
+
+def _rows(pairs: Ids, elements: Ids, ngeom: int) -> Ids:
+    """Where the elements (n, 2) are among the pairs (P, 2), which are sorted."""
+    if not len(elements):
+        return np.zeros(0, int)
+    first, second = pairs.T
+    key = first * ngeom + second
+    return np.searchsorted(key, elements[:, 0] * ngeom + elements[:, 1])
+
+
+def _warn_of_none(model: Any, chosen: Mask | None) -> None:
+    of_them = ""
+    if chosen is not None:
+        some = np.asarray(model.geom_type)[chosen]
+        of_them = f" with one of the {len(some)} chosen (they are {counts(some)})"
+    warn_caller(
+        f"find_pairs: the model has no ellipsoid-box pair{of_them} that may collide, "
+        f"nothing will ever be near: it has {counts(model.geom_type)}, and only boxes "
+        "against ellipsoids take part, if contype, conaffinity, <exclude> and their "
+        "bodies allow it"
+    )
 
 
 def _may_collide(model: Any, geom1: Ids, geom2: Ids) -> Mask:
@@ -148,8 +217,17 @@ def _explicit(model: Any) -> tuple[Ids, Ids]:
     return pairs[ids], ids
 
 
+def _chosen(model: Any, geoms: Iterable[str | int] | None) -> Mask:
+    """Which geoms are wanted, (ngeom,)."""
+    if geoms is None:
+        return np.ones(int(model.ngeom), bool)
+    chosen = np.zeros(int(model.ngeom), bool)
+    chosen[_geom_ids(model, geoms)] = True
+    return chosen
+
+
 def _geom_ids(model: Any, geoms: Iterable[str | int]) -> list[int]:
-    if isinstance(geoms, str):
+    if isinstance(geoms, str | bytes) or not isinstance(geoms, Iterable):
         raise TypeError(f"geoms must be a list of names or ids, got {geoms!r}")
     ids = {name: i for i, name in enumerate(geom_names(model)) if name}
     return [_geom_id(geom, ids, int(model.ngeom)) for geom in geoms]
@@ -160,6 +238,17 @@ def _geom_id(geom: str | int, ids: dict[str, int], ngeom: int) -> int:
         if geom not in ids:
             raise ValueError(f"geoms: the model has no geom named {geom!r}")
         return ids[geom]
-    if not 0 <= geom < ngeom:
-        raise ValueError(f"geoms: ids must be from 0 to {ngeom - 1}, got {geom}")
-    return int(geom)
+    number = _integer(geom)
+    if not 0 <= number < ngeom:
+        raise ValueError(f"geoms: ids must be from 0 to {ngeom - 1}, got {number}")
+    return number
+
+
+def _integer(geom: Any) -> int:
+    """A bool would be an integer for Python; it comes of a mask."""
+    try:
+        if isinstance(geom, bool):
+            raise TypeError
+        return operator.index(geom)
+    except TypeError:
+        raise TypeError(f"geoms must be names or integer ids, got {geom!r}") from None

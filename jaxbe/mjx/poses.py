@@ -6,11 +6,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbe.components import dot, matrix, split_matrix, split_vector, stack, vector
 from jaxbe.shapes import rotation_matrix
 from jaxbe.types import Matrices, Vectors
-from jaxbe.validate import owned
+from jaxbe.validate import is_readable, owned
 
 
 def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
@@ -25,6 +26,30 @@ def geom_poses(model: Any, data: Any) -> tuple[Vectors, Matrices]:
         return _from_links(model, data.x)
     position, axes = owned(data.geom_xpos), owned(data.geom_xmat)
     return position, axes.reshape(*position.shape[:-1], 3, 3)
+
+
+def check_computed(data: Any) -> None:
+    """No rotation is zero: that is memory which was never written to.
+
+    Of it NaN would come, which is not below zero, so that nothing ever touched. Poses
+    that are traced pass unread.
+
+    Raises:
+        ValueError: the poses of one of the states, or of the only one, are all zero.
+    """
+    if hasattr(data, "geom_xpos"):
+        position, rotation = data.geom_xpos, data.geom_xmat
+    else:
+        position, rotation = data.x.pos, data.x.rot
+    if not is_readable(rotation):
+        return
+    known = np.asarray(rotation)
+    is_zero = (known == 0).all(axis=tuple(range(np.ndim(position) - 2, known.ndim)))
+    if known.size and is_zero.any():
+        raise ValueError(
+            "data: its geoms' poses were never computed: call "
+            "mujoco.mj_forward(model, data) or mjx.kinematics(model, data) first"
+        )
 
 
 def _from_links(model: Any, x: Any) -> tuple[Vectors, Matrices]:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxbe.mjx.pairs import BOX, ELLIPSOID
+from jaxbe.mjx.geom_types import BOX, ELLIPSOID
 from jaxbe.viz.solids import (
     BOX_COLOR,
     ELLIPSOID_COLOR,
