@@ -91,7 +91,7 @@ def distance_bounds(
 
     Returns:
         (lower, upper) in metres; NaN if any number is NaN or infinite. Not made to be
-        differentiated.
+        differentiated. In float32 the upper one is infinite from some 1e19 m on.
 
     Raises:
         TypeError: as `signed_distance`.

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxbe.margin import rounding_slack
 from jaxbe.plan_sample import Sample
-from jaxbe.plan_table import Measured, frontier, lines
+from jaxbe.plan_table import Measured, Settings, frontier, lines
 from jaxbe.scene_facts import SceneFacts
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.validate import as_number
@@ -102,9 +102,6 @@ class Plan:
     filter_contacts: Keywords | None = None
     drop_above: float | None = None
     why: tuple[str, ...] = ()
-
-    def __hash__(self) -> int:
-        return hash((self.dtype, self.drop_above, self.why))
 
     def __str__(self) -> str:
         return "\n".join((f"{self.dtype}:", *(f"  {line}" for line in self.why)))
@@ -278,7 +275,9 @@ def _rows(name: str, dtype: DType, ask: _Ask) -> Iterator[_Row]:
         if row.dtype == dtype and row.gradients == with_gradients
     ]
     for row in sorted(table, key=lambda row: row.nanoseconds):
-        yield _Row(dict(row.keywords), dtype, row.nanoseconds, _error(name, row, ask))
+        yield _Row(
+            Settings(row.keywords), dtype, row.nanoseconds, _error(name, row, ask)
+        )
 
 
 def _with_gradients(name: str, ask: _Ask) -> bool:

@@ -16,6 +16,22 @@ import numpy as np
 from jaxbe.scene_facts import SceneFacts
 
 
+class Settings(dict[str, Any]):
+    """Keyword arguments that stay as they are: hashed, copied, stored like a tuple."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("the settings of a plan cannot be changed")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse  # type: ignore[assignment]
+    update = pop = popitem = clear = setdefault = _refuse  # type: ignore[assignment]
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Settings, (dict(self),)
+
+
 class Measured(NamedTuple):
     """A line of the table.
 

@@ -50,6 +50,7 @@ def test_so_it_does_where_shardings_are_types():
         check_share(kernel, told[kernel])
 
 
+@pytest.mark.bulk
 @pytest.mark.skipif(not hasattr(jax, "set_mesh"), reason="older: no axis is explicit")
 @pytest.mark.parametrize(
     "every", [(), pytest.param(("every",), marks=pytest.mark.slow)]

@@ -132,7 +132,7 @@ def _as_mask(given: ArrayLike, found: Scalars) -> Flags:
 def _broadcast(name: str, x: jax.Array, found: Scalars) -> jax.Array:
     """With as many axes as (..., P) has."""
     try:
-        if np.broadcast_shapes(x.shape, found.shape) == found.shape:
+        if lax.broadcast_shapes(x.shape, found.shape) == found.shape:
             return with_rank(x, found.ndim)
     except ValueError:
         pass
