@@ -12,6 +12,7 @@ import functools
 from collections.abc import Callable
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbe.choice import choose, minimum
 from jaxbe.components import column, dot, is_zero, vector, where
@@ -76,7 +77,8 @@ def _best_numbers(pair: CanonicalPair) -> Components:
             number = choose(value < least, i, number)
             least = minimum(value, least)
         values = [
-            choose(number == i, jnp.inf, v) for i, v in enumerate(values, start=1)
+            choose(number == i, float(np.finfo(v.dtype).max), v)
+            for i, v in enumerate(values, start=1)
         ]
         numbers.append(number)
     # One number, because a loop has one result.

@@ -32,9 +32,6 @@ SHORT_STEP = 0.25
 FLOOR = 1e-4
 """Of the Hessian's smaller eigenvalue, in units of its diagonal."""
 
-ROUNDED_ZERO = 64
-"""A component below so many units of rounding of the largest one is taken for zero."""
-
 
 class Chart(NamedTuple):
     """Which component of u is held, being the largest.
@@ -173,18 +170,17 @@ def improved(pair: Search, u: Components) -> Components:
         pair: the bodies.
         u: a direction, not zero.
     """
-    u = without_rounding(u)
     at = tangent(pair, u)
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
-    # Near the minimum all depths are alike, and the whole step still gains digits.
-    steps = (
-        (1.0, pair.rounding),
-        (_until_first_zero(at.chart, u, t_1, t_2), -pair.rounding),
-        (_until_narrowest(pair, u, move), -pair.rounding),
+    allowance = pair.rounding
+    shares = (
+        1.0,
+        _until_first_zero(at.chart, u, t_1, t_2),
+        _until_narrowest(pair, u, move),
     )
-    for share, allowance in steps:
+    for share in shares:
         candidate = _moved(u, move, share)
         there = depth(pair, candidate)
         better = there.is_less(least, allowance)
@@ -193,17 +189,10 @@ def improved(pair: Search, u: Components) -> Components:
             choose(better, there.F, least.F),
             choose(better, there.length, least.length),
         )
+        # Depths that are alike to rounding: near the minimum the whole step still gains
+        # digits, and a kink that is reached settles a component's sign.
+        allowance = choose(better, -pair.rounding, allowance)
     return best
-
-
-def without_rounding(u: Components) -> Components:
-    """The direction u with what is zero but for rounding set to zero.
-
-    On which side of its kink such a component lies is chance. Where the minimum is not
-    at the kink after all, the next step of Newton's method releases it.
-    """
-    least = ROUNDED_ZERO * float(np.finfo(u[0].dtype).eps) * largest(_absolute(u))
-    return vector(lambda i: choose(abs(u[i]) < least, 0, u[i]))
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
@@ -218,10 +207,6 @@ def _slope(u_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
     """The derivative of F in u_i; where u_i is zero, the smallest one."""
     at_kink = g_i - clip(g_i, -e_i, e_i)
     return choose(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
-
-
-def _absolute(u: Components) -> Components:
-    return vector(lambda i: abs(u[i]))
 
 
 def _chart(u: Components) -> Chart:
@@ -261,7 +246,9 @@ def _lifted(hessian: Components) -> tuple[Scalars, Scalars, Scalars, Scalars]:
     """The Hessian with its smaller eigenvalue raised to FLOOR; its determinant."""
     h_11, h_12, h_22 = hessian
     apart = (h_11 - h_22) / 2
-    smaller = (h_11 + h_22) / 2 - jnp.sqrt(apart * apart + h_12 * h_12)
+    # Not of zero, where the root has no derivative.
+    square = maximum(apart * apart + h_12 * h_12, float(np.finfo(h_12.dtype).tiny))
+    smaller = (h_11 + h_22) / 2 - jnp.sqrt(square)
     lift = maximum(FLOOR * (abs(h_11) + abs(h_22)) - smaller, 0)
     h_11, h_22 = h_11 + lift, h_22 + lift
     return h_11, h_12, h_22, h_11 * h_22 - h_12 * h_12

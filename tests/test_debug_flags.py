@@ -72,25 +72,10 @@ FUNCTIONS = {
     "Hessian of margin": functools.partial(second_derivative, jaxbe.margin),
     "Hessian of signed_distance": functools.partial(second_derivative, signed_distance),
 }
-TO_COME = {
-    ("contact", "jax_debug_infs"),
-    ("distance_bounds", "jax_debug_infs"),
-    ("Hessian of signed_distance", "jax_debug_infs"),
-    ("Hessian of signed_distance", "jax_debug_nans"),
-}
 
 
-def cases():
-    for name in FUNCTIONS:
-        for checked in ("jax_debug_nans", "jax_debug_infs"):
-            waits = pytest.mark.xfail(
-                reason="an infinity in starts, a root in tangent", strict=False
-            )
-            marks = [waits] if (name, checked) in TO_COME else []
-            yield pytest.param(name, checked, marks=marks)
-
-
-@pytest.mark.parametrize(("name", "checked"), list(cases()))
+@pytest.mark.parametrize("checked", ["jax_debug_nans", "jax_debug_infs"])
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_what_is_not_chosen_is_finite_too(name, checked):
     pairs = bodies(np.float32)
     with flag(checked):
