@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbe.choice import choose
-from jaxbe.components import clip, largest, split_vector, stack, vector, with_rank
+from jaxbe.components import clip, split_vector, stack, with_rank
 from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars
@@ -89,7 +89,7 @@ def _gradients(
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
-        arm = instead(_on_box(box, normal, of_extent, arm, reach), arm)
+        arm = instead(_on_box(box, normal, of_extent, arm, touching), arm)
     return (
         -world,
         arm[..., :, None] * normal[..., None, :],
@@ -101,12 +101,16 @@ def _gradients(
 
 
 def _on_box(
-    box: Box, normal: jax.Array, of_extent: Scalars, arm: jax.Array, reach: jax.Array
+    box: Box,
+    normal: jax.Array,
+    of_extent: Scalars,
+    arm: jax.Array,
+    touching: Components,
 ) -> jax.Array:
     """The touching point from the box's centre, in world axes: exact where on a bound.
 
     Far from each other, the bodies' centres have not its digits: the point is pushed
-    along the normal, as far as to the ellipsoid's centre, and stops at the bounds. A
+    along the normal, by a length like the ellipsoid's, and stops at the bounds. A
     component of the normal that is zero but for rounding, of either sign, pushes it by
     rounding.
     """
@@ -114,15 +118,9 @@ def _on_box(
     U = with_rank(box.axes, rank + 2)
     bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
     point = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
-    size, length = _largest(normal, rank), _largest(reach, rank)
-    push = normal / choose(size == 0, 1, size) * length
-    x = clip(point + push, -bound, bound)
+    length = (abs(touching[0]) + abs(touching[1]) + abs(touching[2]))[..., None]
+    x = clip(point + normal * length * length, -bound, bound)
     return _combination(lambda i: U[..., i], split_vector(x, rank))
-
-
-def _largest(x: jax.Array, rank: int) -> jax.Array:
-    """The largest size of a component, (..., 1)."""
-    return largest(vector(lambda i: abs(split_vector(x, rank)[i])))[..., None]
 
 
 @jax.custom_jvp

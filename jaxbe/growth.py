@@ -38,7 +38,7 @@ from jaxbe.choice import choose, maximum, minimum
 from jaxbe.components import dot, is_zero, largest, vector
 from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_from, kept_pair
+from jaxbe.kept import kept, kept_from, kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric, squared_length
 from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units, of_all
@@ -225,7 +225,7 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     discriminant = b * b + (square - size) * c
     total = b + jnp.sqrt(maximum(discriminant, 0))
     usable = (discriminant >= 0) & (total > 0) & (c > -total)
-    rho = c / choose(usable, total, 1)
+    rho = shared(c / choose(usable, total, 1))
     terms = near.q + rho * rho * size + 2 * abs(rho) * (alpha * reach)
     hidden = FEASIBLE_ROUNDINGS * float(np.finfo(alpha.dtype).eps) * terms
     grown = alpha * (1 + rho)
