@@ -77,6 +77,7 @@ SUITE = {
 """What `python -m benchmarks` runs, in this order."""
 
 MORE = {
+    "everyday": Part("the largest errors in round and aligned scenes"),
     "growth": Part("the cost of a pair by the batch, on one core"),
     "limitations": Part("the figures of the README's limitations"),
     "verdicts": Part("how near to touching a verdict can be wrong", (), False),

@@ -6,6 +6,7 @@ the others bend what was drawn (near touching, flat, aligned, far away, ...).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -224,3 +225,26 @@ def scaled(scene: Scene, factor: Any) -> Scene:
 def shifted(scene: Scene, offset: Any) -> Scene:
     """Both bodies moved, in the dtype of the scene: coordinates are rounded."""
     return scene._replace(C=scene.C + offset, K=scene.K + offset)
+
+
+ROUND_OR_ALIGNED: dict[str, Callable[[Scene], Scene]] = {
+    "spheres": spheres,
+    "spheroids": spheroids,
+    "axis-aligned": axis_aligned,
+    "axis-aligned-spheres": lambda s: spheres(axis_aligned(s)),
+    "same-axes": same_axes,
+    "same-axes-rods": lambda s: flattened(same_axes(s), 2),
+    "same-axes-spheroids": lambda s: spheroids(same_axes(s)),
+    "yawed": yawed,
+    "yawed-plates": lambda s: flattened(yawed(s), 1),
+    "lattice": lattice,
+    "lattice-of-balls": lattice_of_balls,
+    "on-planes": on_planes,
+    "on-planes-spheres": lambda s: on_planes(spheres(s)),
+    "on-planes-same-axes": lambda s: on_planes(same_axes(s)),
+    "cubes-and-spheres": lambda s: cubes(spheres(s)),
+    "plates-and-spheres": lambda s: flattened(spheres(s), 1),
+    "equal-lengths": equal_lengths,
+    "equal-lengths-same-axes": lambda s: equal_lengths(same_axes(s)),
+}
+"""What people build, of a random scene: rounding alone decides what is zero there."""

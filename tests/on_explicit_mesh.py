@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
+import types
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +19,33 @@ from jax.sharding import NamedSharding, PartitionSpec
 import jaxbe
 from jaxbe.choice import choose, maximum, minimum
 from jaxbe.lower_bound import distance_lower_bound
+from jaxbe.mjx import Pairs, filter_contacts
 from tests.on_devices import roundings
 from tests.test_chunked import fields
+
+
+def filtered(box, ellipsoid):
+    """As two geoms of a model, whose poses and sizes are mapped."""
+    size, position, axes = (
+        jnp.stack(x)
+        for x in zip(
+            (box.half_extents, box.center, box.axes),
+            (ellipsoid.semi_axes, ellipsoid.center, ellipsoid.axes),
+            strict=True,
+        )
+    )
+    model = types.SimpleNamespace(geom_size=size)
+    data = types.SimpleNamespace(geom_xpos=position, geom_xmat=axes)
+    pairs = Pairs(np.array([[1, 0]]))
+    found = filter_contacts(pairs, model, data, distance=0.1, max_pairs=2)
+    return found
+
 
 ANSWERS = {
     **{m: functools.partial(jaxbe.overlap, method=m) for m in jaxbe.METHODS},
     "certify": jaxbe.certify,
     "margin_bounds": jaxbe.margin_bounds,
+    "filter_contacts": filtered,
     "distance_bounds": functools.partial(jaxbe.distance_bounds, steps=1),
 }
 DIFFERENTIABLE = {

@@ -149,5 +149,30 @@ def test_undecided_poses_are_no_error(dtype):
     jaxbe.certify(box, flat)
 
 
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [(i, f) for i, kind in enumerate((jaxbe.Box, jaxbe.Ellipsoid))
+     for f in kind.__dataclass_fields__],
+)  # fmt: skip
+@pytest.mark.parametrize("varies", [True, False], ids=["alone", "constant"])
+def test_any_field_may_be_a_constant_of_the_program(body, field, varies):
+    """The kernel was computed again for each term of the proof: 800 operations."""
+    pair = scenes.random(1000).astype(np.float32).bodies()
+
+    def with_field(bodies, x):
+        changed = type(bodies[body]).unchecked(
+            *(bodies[body].fields() | {field: x}).values()
+        )
+        return jaxbe.certify(*(changed if i == body else bodies[i] for i in range(2)))
+
+    given = getattr(pair[body], field)
+    if varies:
+        largest = programs.largest_expression(lambda x: with_field(pair, x), given)
+    else:
+        largest = programs.largest_expression(lambda b: with_field(b, given), pair)
+    assert largest <= 600
+
+
 def test_branch_free():
     programs.check_branch_free(jax.vmap(jaxbe.certify), *scenes.random(64).bodies())

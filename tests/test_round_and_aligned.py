@@ -14,18 +14,12 @@ import numpy as np
 import pytest
 
 import jaxbe
-from benchmarks import reference, scenes
+from benchmarks import everyday, reference, scenes
 from jaxbe.shapes import rotation_matrix
 from tests import distance_reference as dr
 from tests.margin_reference import KINDS
 
-ROUND_OR_ALIGNED = (
-    "spheres", "axis-aligned", "axis-aligned-spheres", "ties", "spheroids", "same-axes",
-    "same-axes-rods", "same-axes-spheroids", "yawed", "yawed-plates", "lattice",
-    "lattice-of-balls", "on-planes", "on-planes-spheres", "on-planes-same-axes",
-    "cubes-and-spheres", "plates-and-spheres", "equal-lengths",
-    "equal-lengths-same-axes",
-)  # fmt: skip
+ROUND_OR_ALIGNED = (*scenes.ROUND_OR_ALIGNED, "ties")
 BALLS = [kind for kind in ROUND_OR_ALIGNED if "spheres" in kind or "balls" in kind]
 
 
@@ -33,16 +27,10 @@ def scene_of(kind, dtype=np.float64, n=2000, seed=110):
     return KINDS[kind](scenes.random(n, seed=seed)).astype(dtype)
 
 
-def reach(scene):
-    """What rounding is measured by: the longest length and the centres' distance."""
-    scene = scene.astype(np.float64)
-    return dr.size(scene) + np.linalg.norm(scene.K - scene.C, axis=1)
-
-
 def contract_errors(scene, contact):
     along = contact.on_box - contact.on_ellipsoid
     along = along - contact.distance[:, None] * contact.normal
-    return np.linalg.norm(along, axis=1) / reach(scene)
+    return np.linalg.norm(along, axis=1) / everyday.reach(scene)
 
 
 def in_box(scene, vectors):
@@ -87,7 +75,7 @@ def test_points_normal_and_distance_agree(kind, dtype):
     assert np.max(errors[apart]) <= APART[dtype.name]
     assert np.max(errors[~apart], initial=0) <= OVERLAPPING.get(kind, 5e-3)
     assert np.percentile(errors[~apart], 98) <= (1e-6 if kind in BALLS else 1e-5)
-    slack = 4 * np.finfo(dtype).eps * reach(scene)
+    slack = 4 * np.finfo(dtype).eps * everyday.reach(scene)
     assert np.all(dr.outside_box(exact, contact.on_box) <= slack)
     off = dr.outside_ellipsoid(exact, contact.on_ellipsoid) * exact.a.min(axis=1)
     assert np.all(abs(off) <= 4 * slack)
@@ -106,7 +94,7 @@ def test_balls_as_in_closed_form(kind, dtype):
     gap = np.linalg.norm(k - nearest, axis=1)
     outside = gap > 1e-5
     assert outside.sum() > 100
-    size, eps = reach(scene), np.finfo(dtype).eps
+    size, eps = everyday.reach(scene), np.finfo(dtype).eps
     error = abs(contact.distance - (gap - exact.a[:, 0])) / size
     assert np.max(error[outside]) <= 4 * eps
     # A centre near to the box's surface has a normal of few digits; and six steps of
@@ -127,7 +115,7 @@ def test_the_bounds_of_the_distance_are_narrow(kind, dtype):
     scene = scene_of(kind, dtype)
     lower, upper = dr.bounds(scene)
     apart = lower > 0
-    assert np.max(((upper - lower) / reach(scene))[apart]) <= APART[dtype.name]
+    assert np.max(((upper - lower) / everyday.reach(scene))[apart]) <= APART[dtype.name]
 
 
 @pytest.mark.bulk
@@ -151,7 +139,7 @@ def test_points_in_float32():
         apart = true.distance > 0
         for name in ("on_box", "on_ellipsoid", "position"):
             difference = getattr(found, name) - getattr(true, name)
-            error = np.linalg.norm(difference, axis=1) / reach(scene)
+            error = np.linalg.norm(difference, axis=1) / everyday.reach(scene)
             assert np.max(error[apart]) <= largest, name
 
 

@@ -158,8 +158,11 @@ def nearest_candidates(
     _, index = lax.top_k(jnp.where(kept, -order, -jnp.inf), count)
     valid = jnp.take_along_axis(kept, index, axis=-1)
     distance = jnp.take_along_axis(found, index, axis=-1)
+    # As an array over the batch, or JAX could not say along which axis of a mesh it is.
+    ids = jnp.asarray(geom)
+    ids = ids + 0 * jnp.expand_dims(kept, -1).astype(ids.dtype)
     return Candidates(
-        geom=jnp.asarray(geom)[index],
+        geom=jnp.take_along_axis(ids, jnp.expand_dims(index, -1), axis=-2),
         distance=jnp.where(valid, distance, jnp.inf),
         valid=valid,
         overflow=jnp.maximum(jnp.sum(kept, axis=-1, dtype=jnp.int32) - count, 0),
