@@ -89,7 +89,8 @@ def _gradients(
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
-        arm = instead(_on_box(box, normal, of_extent, arm, touching), arm)
+        still = jax.lax.stop_gradient((box, normal, of_extent, arm, touching))
+        arm = instead(_on_box(*still), arm)
     return (
         -world,
         arm[..., :, None] * normal[..., None, :],
