@@ -28,6 +28,9 @@ COMPUTED = {"float32": np.float32, "float64": np.float64, "bfloat16": np.float32
 ALIGNED = 0.15
 """The share of pairs with axes along the world's: as many ties as can be."""
 
+SAME_AXES = 0.15
+"""Of the others, those whose axes are the same: ties but for rounding."""
+
 
 def pairs(aspect: float, distance: str | float, dtype: str, n: int) -> Scene:
     """Pairs of one cell, rounded to the dtype, in the dtype that is computed in.
@@ -64,6 +67,9 @@ def _bodies(
     aligned = scenes.axis_aligned(base, int(rng.integers(2**31)))
     pick = (rng.random(n) < ALIGNED)[:, None, None]
     U, V = (np.where(pick, *x) for x in ((aligned.U, base.U), (aligned.V, base.V)))
+    # Of its own generator: the other pairs are those of maps before.
+    same = (np.random.default_rng(n).random(n) < SAME_AXES)[:, None, None]
+    V = np.where(same, U, V)
     which = rng.integers(0, 3, n)[:, None]
     e = np.where(which == 1, 1.0, _lengths(rng, aspect, n)) * rng.uniform(1, 2, (n, 1))
     a = np.where(which == 2, 1.0, _lengths(rng, aspect, n)) * rng.uniform(1, 2, (n, 1))
