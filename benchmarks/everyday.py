@@ -35,8 +35,6 @@ JUDGED = {
 }
 """What `accuracy.judge` judges here, and as what."""
 
-COLUMNS = ("wrong verdicts", *JUDGED.values(), "contract, apart", "overlapping")
-
 
 def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, Any]]:
     """One entry for each kind of scene and dtype."""
@@ -87,10 +85,8 @@ def reach(scene: scenes.Scene) -> np.ndarray:
 
 def text(numbers: dict[str, Any]) -> str:
     """The report in Markdown."""
-    rows = [
-        (e["scene"], e["dtype"], *(_cell(e[column]) for column in COLUMNS))
-        for e in numbers["errors"]
-    ]
+    header = tuple(numbers["errors"][0])
+    rows = [tuple(map(_cell, e.values())) for e in numbers["errors"]]
     return f"""\
 # Round and aligned scenes
 
@@ -101,13 +97,13 @@ accuracy; contracts (on_box - on_ellipsoid against distance times normal) relati
 the longest length plus the distance of the centres. A contact of bodies that overlap \
 keeps it as far as the search for the shortest way out has come.
 
-{report.table(("scene", "dtype", *COLUMNS), rows)}
+{report.table(header, rows)}
 
 {report.machine_lines(numbers["machine"])}"""
 
 
-def _cell(x: float) -> str:
-    return f"{x:,}" if isinstance(x, int) else f"{x:.1e}"
+def _cell(x: str | float) -> str:
+    return f"{x:.1e}" if isinstance(x, float) else str(x)
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

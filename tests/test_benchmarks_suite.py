@@ -14,6 +14,7 @@ from benchmarks import (
     accuracy,
     certificates,
     distances,
+    everyday,
     frontier,
     frontier_report,
     growth,
@@ -173,12 +174,27 @@ def test_frontiers_are_drawn(tmp_path):
     check_picture(file)
 
 
-@pytest.mark.parametrize("part", [certificates, distances])
+@pytest.mark.parametrize("part", [certificates, distances, everyday])
 def test_reports_are_of_their_numbers(part):
     name = part.__name__.rpartition(".")[2]
     files = (suite.RESULTS / f"{name}-cpu.{kind}" for kind in ("json", "md"))
     numbers, report_written = (file.read_text() for file in files)
     assert part.text(json.loads(numbers)) in report_written
+
+
+def test_everyday_has_the_largest_error_of_each_kind(few, monkeypatch, tmp_path):
+    monkeypatch.setattr(everyday, "JUDGED", {FEW[2]: settings.MARGIN})
+    kinds = {k: everyday.KINDS[k] for k in ("random", "lattice-of-balls")}
+    monkeypatch.setattr(everyday, "KINDS", kinds)
+    file, text = measured(everyday.main, tmp_path, "--pairs=200")
+    errors = json.loads(file.read_text())["errors"]
+    assert [(e["scene"], e["dtype"]) for e in errors] == [
+        (kind, dtype) for kind in kinds for dtype in settings.DTYPES
+    ]
+    for e in errors:
+        assert e["scene"] in text
+        assert 0 < e["contract, apart"] <= (1e-14 if e["dtype"] == "float64" else 3e-6)
+        assert e["margin"] > 1e-3  # One step is not enough.
 
 
 def test_certificates_of_few_pairs(monkeypatch, tmp_path):
