@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -79,10 +79,12 @@ class Truth:
 
     Attributes:
         scene: the pairs.
-        answers: by kind of answer.
+        answers: by kind of answer; those of gradients by `most`, or else `MOST`.
     """
 
-    def __init__(self, scene: scenes.Scene) -> None:
+    def __init__(
+        self, scene: scenes.Scene, most: Mapping[str, Setting] | None = None
+    ) -> None:
         self.scene = scene
         exact = scene.astype(np.float64)
         self.answers: dict[str, np.ndarray] = {
@@ -90,7 +92,7 @@ class Truth:
             settings.MARGIN: margin_scenes.truth(scene),
         }
         self.answers |= dict.fromkeys(DISTANCES, _distance(exact))
-        for name, setting in MOST.items():
+        for name, setting in (MOST if most is None else most).items():
             _, gradients = settings.under_vmap(setting)(*exact.bodies())
             self.answers[name] = plan_errors.flat_gradient(gradients, _longest(scene))
 

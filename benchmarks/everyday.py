@@ -31,9 +31,13 @@ KINDS: dict[str, Callable[[scenes.Scene], scenes.Scene]] = {
 JUDGED = {
     setting: setting.answers[0]
     for setting in settings.JUDGED
-    if setting.is_default and setting.function in ("margin", "signed_distance")
+    if setting.is_default
+    and (setting.function == "margin" or setting.name.startswith("signed_distance,"))
 }
 """What `accuracy.judge` judges here, and as what."""
+
+MOST = {k: v for k, v in accuracy.MOST.items() if k in JUDGED.values()}
+"""What the truth of a gradient is taken from."""
 
 
 def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, Any]]:
@@ -50,7 +54,7 @@ def measure(pairs: int, seed: int, tick: Callable[[], Any]) -> list[dict[str, An
 
 def _errors(scene: scenes.Scene) -> dict[str, Any]:
     """By column: a count, and the largest error of each kind."""
-    true = accuracy.Truth(scene)
+    true = accuracy.Truth(scene, MOST)
     overlap = Setting("overlap", ("method", jaxbe.METHODS[0]))
     verdicts = accuracy.judge(overlap, settings.VERDICT, true)
     wrong = {"wrong verdicts": verdicts["false_overlap"] + verdicts["missed"]}
@@ -109,7 +113,7 @@ def _cell(x: str | float) -> str:
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Reads the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--pairs", type=int, default=20_000, help="of each kind")
+    parser.add_argument("--pairs", type=int, default=10_000, help="of each kind")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help="500 pairs: a look")
     report.add_output_options(parser)

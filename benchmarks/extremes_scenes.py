@@ -68,8 +68,8 @@ def _bodies(
     pick = (rng.random(n) < ALIGNED)[:, None, None]
     U, V = (np.where(pick, *x) for x in ((aligned.U, base.U), (aligned.V, base.V)))
     # Of its own generator: the other pairs are those of maps before.
-    same = (np.random.default_rng(n).random(n) < SAME_AXES)[:, None, None]
-    V = np.where(same, U, V)
+    draws = np.random.default_rng([n, int(np.log10(aspect))]).random((n, 1, 1))
+    V = np.where((draws < SAME_AXES) & ~pick, U, V)
     which = rng.integers(0, 3, n)[:, None]
     e = np.where(which == 1, 1.0, _lengths(rng, aspect, n)) * rng.uniform(1, 2, (n, 1))
     a = np.where(which == 2, 1.0, _lengths(rng, aspect, n)) * rng.uniform(1, 2, (n, 1))

@@ -25,7 +25,7 @@ from jaxbe.components import (
     times,
     vector,
 )
-from jaxbe.kept import kept, kept_pair
+from jaxbe.kept import kept_vector
 from jaxbe.kernel import nearest
 from jaxbe.metric import metric
 from jaxbe.pose import batch_shape, canonical_pair, of_all
@@ -98,12 +98,11 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     e = split_vector(box.half_extents, rank)
     given = of_all(pair)
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
-    x = (*kept_pair(x[0], x[1], given), kept(x[2], given))
+    x = kept_vector(x, given)
     U = split_matrix(box.axes, rank)
     size = largest(_absolute(near.n))
     n = vector(lambda i: near.n[i] / choose(size > 0, size, 1))
-    w = times(U, n)
-    w = (*kept_pair(w[0], w[1], given), kept(w[2], given))
+    w = kept_vector(times(U, n), given)
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)

@@ -47,11 +47,11 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
 
         The points are in the bodies, to rounding, and on_box - on_ellipsoid is distance
         times normal: for pairs apart, of 30,000 with lengths from 0.05 to 2 m, within
-        1e-14 of their size and distance in float64 and 1e-6 in float32, where each
+        1e-14 of their size and distance in float64 and 3e-6 in float32, where each
         point is right to as much; from 0.001 to 1 m within 1e-6 and 3e-5; of needles
         of aspect ratio 1000 within 3e-5 and 1e-3. Round and aligned bodies do not
         differ. For pairs that overlap it holds as far as the search for the way out has
-        come: within 1e-4 in 99.8 %, 0.02 at most (from 0.001 to 1 m 99.5 % and 0.1;
+        come: within 1e-4 in 99.8 %, 0.1 at most (from 0.001 to 1 m 99.5 % and 0.1;
         needles 97 % and 0.4); on_box is then the point of the box that is nearest to
         fulfilling it.
 

@@ -19,7 +19,7 @@ from jaxbe.components import (
     vector,
 )
 from jaxbe.growth import STEPS_A_LOOP, growth_bounds
-from jaxbe.kept import kept, kept_pair, shared
+from jaxbe.kept import kept_vector, shared
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric
 from jaxbe.pose import CanonicalPair, canonical_pair_again
@@ -139,7 +139,7 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoi
         return clip(_along_axis(box, d, i) - distance * n[i], -e[i], e[i])
 
     x = vector(coordinate)
-    return WitnessPoints((*kept_pair(x[0], x[1], d[2]), kept(x[2], d[2])), d)
+    return WitnessPoints(kept_vector(x, d[2]), d)
 
 
 def _reach(pair: CanonicalPair, n: Components) -> Components:
@@ -147,7 +147,7 @@ def _reach(pair: CanonicalPair, n: Components) -> Components:
     along = along_axes(pair, n)
     radius = shared(jnp.sqrt(dot(along, along)))
     reach = vector(lambda p: pair.a[p] * along[p] / radius / pair.per_unit)
-    return (*kept_pair(reach[0], reach[1], n[0]), kept(reach[2], n[0]))
+    return kept_vector(reach, n[0])
 
 
 def _offset(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
@@ -156,7 +156,7 @@ def _offset(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
     C, K = split_vector(box.center, rank), split_vector(ellipsoid.center, rank)
     turned = times(split_matrix(ellipsoid.axes, rank), reach)
     d = vector(lambda r: K[r] - C[r] - turned[r])
-    return (*kept_pair(d[0], d[1], reach[2]), kept(d[2], reach[2]))
+    return kept_vector(d, reach[2])
 
 
 def _along_axis(box: Box, d: Components, i: int) -> Scalars:

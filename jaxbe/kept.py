@@ -53,6 +53,11 @@ def _kept_pair_jvp(primals: Any, tangents: Any) -> Any:
     return kept_pair(*primals), tangents[:2]
 
 
+def kept_vector(x: Components, given: Scalars) -> Components:
+    """The components of x, from two loops; `given` as for `kept`."""
+    return (*kept_pair(x[0], x[1], given), kept(x[2], given))
+
+
 def kept_from(x: Scalars, given: Scalars) -> Scalars:
     """The array x, kept even if only one loop uses it (`kept` leaves it to that)."""
     return minimum(*kept_pair(x, x, given))

@@ -29,6 +29,9 @@ LONGEST_STEP = 0.5
 """In units of the component that is held."""
 
 SHORT_STEP = 0.25
+SHORTER_STEP = 0.0625
+"""Fractions of Newton's step that are tried where it fails."""
+
 FLOOR = 1e-4
 """Of the Hessian's smaller eigenvalue, in units of its diagonal."""
 
@@ -97,6 +100,13 @@ class Depth(NamedTuple):
         return less
 
 
+class Best(NamedTuple):
+    """The best direction so far, and its depth."""
+
+    u: Components
+    depth: Depth
+
+
 class Search(NamedTuple):
     """A pair as the search sees it, in its units.
 
@@ -125,14 +135,14 @@ def search(pair: CanonicalPair) -> Search:
 
 def depth(pair: Search, u: Components) -> Depth:
     """F(u) and |u|; minus their quotient is the distance where they are apart."""
-    along = vector(lambda p: dot(column(pair.B, p), u))
+    along = _along(pair, u)
     F = extent(u, pair.e) + jnp.sqrt(dot(along, along)) - dot(u, pair.k)
     return Depth(shared(F), shared(jnp.sqrt(dot(u, u))))
 
 
 def tangent(pair: Search, u: Components) -> Tangent:
     """The derivatives of f at u, not zero."""
-    along = vector(lambda p: dot(column(pair.B, p), u))
+    along = _along(pair, u)
     per_s = shared(1 / jnp.sqrt(dot(along, along)))
     # The ellipsoid's extreme point; not from S, which loses digits.
     p = times(pair.B, vector(lambda p: along[p] * per_s))
@@ -163,8 +173,14 @@ def tangent(pair: Search, u: Components) -> Tangent:
 def improved(pair: Search, u: Components) -> Components:
     """One step of Newton's method, or the beginning of it, or none: whichever is best.
 
-    The beginning is a quarter, or less where a coordinate reaches zero before. What
-    would change its sign on the way stops at zero.
+    There are two beginnings: up to where a coordinate reaches zero, or a quarter; up to
+    where the ellipsoid is narrowest, or a sixteenth. What would change its sign on the
+    way stops at zero.
+
+    Near the minimum all depths are alike to rounding, and the whole step still gains
+    digits: it may be deeper by that, and a beginning has to be better by more. Where
+    the whole step fails, a kink that is reached settles a component's sign, though the
+    depth there is the same.
 
     Args:
         pair: the bodies.
@@ -173,26 +189,26 @@ def improved(pair: Search, u: Components) -> Components:
     at = tangent(pair, u)
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
-    best, least = u, Depth(at.F, shared(jnp.sqrt(dot(u, u))))
-    allowance = pair.rounding
-    shares = (
-        1.0,
-        _until_first_zero(at.chart, u, t_1, t_2),
-        _until_narrowest(pair, u, move),
+    zero = _until_first_zero(at.chart, u, t_1, t_2)
+    narrowest = _until_narrowest(pair, u, move)
+    best = Best(u, Depth(at.F, shared(jnp.sqrt(dot(u, u)))))
+    best, is_whole = _tried(pair, best, _moved(u, move, 1.0), pair.rounding)
+    allowance = choose(is_whole, -pair.rounding, pair.rounding)
+    best, _ = _tried(pair, best, _moved(u, move, zero), allowance)
+    best, _ = _tried(pair, best, _moved(u, move, narrowest), -pair.rounding)
+    return best.u
+
+
+def _tried(
+    pair: Search, best: Best, u: Components, allowance: Scalars
+) -> tuple[Best, Flags]:
+    """The better one of a direction and the best so far; whether it is the former."""
+    there, least = depth(pair, u), best.depth
+    better = there.is_less(least, allowance)
+    least = Depth(
+        choose(better, there.F, least.F), choose(better, there.length, least.length)
     )
-    for share in shares:
-        candidate = _moved(u, move, share)
-        there = depth(pair, candidate)
-        better = there.is_less(least, allowance)
-        best = where(better, candidate, best)
-        least = Depth(
-            choose(better, there.F, least.F),
-            choose(better, there.length, least.length),
-        )
-        # Depths that are alike to rounding: near the minimum the whole step still gains
-        # digits, and a kink that is reached settles a component's sign.
-        allowance = choose(better, -pair.rounding, allowance)
-    return best
+    return Best(where(better, u, best.u), least), better
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
@@ -262,38 +278,43 @@ def _against(
     return h_12 * s_2 - h_22 * s_1, h_12 * s_1 - h_11 * s_2
 
 
-def _moved(u: Components, move: Components, share: Scalars | float) -> Components:
+def _moved(u: Components, move: Components, fraction: Scalars | float) -> Components:
     """What changes its sign, or ends at zero to rounding, becomes zero."""
-    there = vector(lambda i: u[i] + share * move[i])
+    there = vector(lambda i: u[i] + fraction * move[i])
     to_rounding = float(8 * np.finfo(u[0].dtype).eps)
     return vector(
         lambda i: choose(u[i] * there[i] < to_rounding * u[i] * u[i], 0, there[i])
     )
 
 
+def _along(pair: Search, u: Components) -> Components:
+    """a_p v_p.u, in the ellipsoid's axes; its length is s."""
+    return vector(lambda p: dot(column(pair.B, p), u))
+
+
 def _until_narrowest(pair: Search, u: Components, move: Components) -> Scalars:
-    """The share of the step after which the ellipsoid is narrowest, or SHORT_STEP.
+    """The fraction of the step to where the ellipsoid is narrowest, or SHORTER_STEP.
 
     Along a needle's axis s is as good as |a_p v_p.u|: it has a kink where that is zero.
     """
-    there, here = (
-        vector(lambda p: dot(column(pair.B, p), x))  # noqa: B023
-        for x in (move, u)
-    )
-    left, gone = -dot(here, there), dot(there, there)
-    before = (left > 0) & (left < SHORT_STEP * gone)
-    return shared(choose(before, left / choose(before, gone, 1), SHORT_STEP))
+    here, change = _along(pair, u), _along(pair, move)
+    left, gone = -dot(here, change), dot(change, change)
+    return _fraction(left, gone, (left > 0) & (left < gone), SHORTER_STEP)
 
 
 def _until_first_zero(
     chart: Chart, u: Components, t_1: Scalars, t_2: Scalars
 ) -> Scalars:
-    """The share of the step after which one of the two is zero, or SHORT_STEP."""
+    """The fraction of the step after which one of the two is zero, or SHORT_STEP."""
     u_1, u_2 = chart.of_vector(u)
     left, gone = abs(u_1), choose(u_1 * t_1 < 0, abs(t_1), 0)
     left_2, gone_2 = abs(u_2), choose(u_2 * t_2 < 0, abs(t_2), 0)
     # The smaller of the quotients left / gone, by one division.
     first = left_2 * gone < left * gone_2
     left, gone = choose(first, left_2, left), choose(first, gone_2, gone)
-    before = left < SHORT_STEP * gone
-    return shared(choose(before, left / choose(before, gone, 1), SHORT_STEP))
+    return _fraction(left, gone, left < SHORT_STEP * gone, SHORT_STEP)
+
+
+def _fraction(left: Scalars, gone: Scalars, usable: Flags, otherwise: float) -> Scalars:
+    """The quotient left / gone where it is usable, else a number."""
+    return shared(choose(usable, left / choose(usable, gone, 1), otherwise))

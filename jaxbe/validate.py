@@ -77,7 +77,7 @@ def as_number(name: str, number: Any) -> float:
     try:
         if np.ndim(number) == 0 and not isinstance(number, str | bytes):
             return float(_not_a_flag(number))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass
     raise TypeError(f"{name} must be a number, got {number!r}")
 

@@ -61,7 +61,10 @@ def test_the_point_does_not_jump_to_the_end_of_the_edge(dtype, axes):
 APART = {"float64": 1e-14, "float32": 3e-6}
 """Of the pair's reach: the largest seen is 2.4e-15 and 1e-6."""
 
-OVERLAPPING = {"equal-lengths": 0.1, "on-planes": 0.02}
+OVERLAPPING = {
+    **dict.fromkeys(BALLS, 1e-6), "lattice": 1e-6,
+    "equal-lengths": 0.1, "on-planes": 0.02,
+}  # fmt: skip
 """Likewise; where a descent has not come to its end, else at most 5e-3."""
 
 
@@ -74,11 +77,12 @@ def test_points_normal_and_distance_agree(kind, dtype):
     assert apart.sum() > 100
     assert np.max(errors[apart]) <= APART[dtype.name]
     assert np.max(errors[~apart], initial=0) <= OVERLAPPING.get(kind, 5e-3)
-    assert np.percentile(errors[~apart], 98) <= (1e-6 if kind in BALLS else 1e-5)
+    assert np.percentile(errors[~apart], 98) <= 1e-5
     slack = 4 * np.finfo(dtype).eps * everyday.reach(scene)
     assert np.all(dr.outside_box(exact, contact.on_box) <= slack)
     off = dr.outside_ellipsoid(exact, contact.on_ellipsoid) * exact.a.min(axis=1)
     assert np.all(abs(off) <= 4 * slack)
+    assert np.all(-contact.distance <= shortest_way_along_axes(scene) + slack)
     value = reference.value_along(exact, contact.normal)
     assert np.all(abs(contact.distance - value) <= 2 * slack)
 
@@ -92,9 +96,12 @@ def test_balls_as_in_closed_form(kind, dtype):
     k = in_box(exact, exact.K - exact.C)
     nearest = np.clip(k, -exact.e, exact.e)
     gap = np.linalg.norm(k - nearest, axis=1)
-    outside = gap > 1e-5
+    outside, inside = gap > 1e-5, gap == 0
     assert outside.sum() > 100
     size, eps = everyday.reach(scene), np.finfo(dtype).eps
+    depth = exact.a[:, 0] + np.min(exact.e - abs(k), axis=1)
+    error = abs(contact.distance + depth) / size
+    assert np.max(error[inside], initial=0) <= 4 * eps
     error = abs(contact.distance - (gap - exact.a[:, 0])) / size
     assert np.max(error[outside]) <= 4 * eps
     # A centre near to the box's surface has a normal of few digits; and six steps of
@@ -120,7 +127,7 @@ def test_the_bounds_of_the_distance_are_narrow(kind, dtype):
 
 @pytest.mark.bulk
 @pytest.mark.parametrize("axes", ["random", "same-axes"])
-def test_needles_keep_the_contract_apart(axes, dtype):
+def test_needles(axes, dtype):
     """Small components of their normals are not zero: the point is far along them."""
     scene = KINDS["needles"](scenes.random(2000, seed=112))
     scene = (scene if axes == "random" else scenes.same_axes(scene)).astype(dtype)
@@ -128,6 +135,16 @@ def test_needles_keep_the_contract_apart(axes, dtype):
     errors, apart = contract_errors(scene, contact), contact.distance > 0
     assert np.max(errors[apart]) <= {"float64": 1e-5, "float32": 3e-3}[dtype.name]
     assert np.percentile(errors[apart], 99) <= 3e-4
+    assert np.percentile(errors[~apart], 95) <= 1e-3
+    assert np.all(-contact.distance <= shortest_way_along_axes(scene) * (1 + 1e-5))
+
+
+def shortest_way_along_axes(scene):
+    """The least depth along the normals of faces and the axes of the ellipsoid."""
+    exact = scene.astype(np.float64)
+    normals = np.concatenate([exact.U, exact.V], axis=2).transpose(2, 0, 1)
+    both = [s * n for n in normals for s in (1, -1)]
+    return np.min([-reference.value_along(exact, n) for n in both], axis=0)
 
 
 @pytest.mark.bulk

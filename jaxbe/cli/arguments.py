@@ -63,7 +63,8 @@ exit status:
   3  the unexpected, in such a line too: standard output that cannot be written, or a
      fault of jaxbe
   130  interrupted by Ctrl-C
-  With 2, 3 and 130 what was found before is printed nevertheless; "agree" is not true.
+  With 2, 3 and 130 what was found before is printed nevertheless, but for the states of
+  a sweep that is interrupted; "agree" is not true.
 
 examples:
   jaxbe                                       the scene that ships with jaxbe

@@ -159,7 +159,7 @@ def nearest_candidates(
     valid = jnp.take_along_axis(kept, index, axis=-1)
     distance = jnp.take_along_axis(found, index, axis=-1)
     # As an array over the batch, or JAX could not say along which axis of a mesh it is.
-    ids = jnp.asarray(geom)
+    ids = with_rank(jnp.asarray(geom), kept.ndim + 1)
     ids = ids + 0 * jnp.expand_dims(kept, -1).astype(ids.dtype)
     return Candidates(
         geom=jnp.take_along_axis(ids, jnp.expand_dims(index, -1), axis=-2),

@@ -247,7 +247,7 @@ def _geom_id(geom: str | int, ids: dict[str, int], ngeom: int) -> int:
 def _integer(geom: Any) -> int:
     """A bool would be an integer for Python; it comes of a mask."""
     try:
-        if isinstance(geom, bool):
+        if isinstance(geom, bool | np.bool_):
             raise TypeError
         return operator.index(geom)
     except TypeError:

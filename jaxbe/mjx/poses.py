@@ -43,9 +43,11 @@ def check_computed(data: Any) -> None:
         position, rotation = data.x.pos, data.x.rot
     if not is_readable(rotation):
         return
-    known = np.asarray(rotation)
-    is_zero = (known == 0).all(axis=tuple(range(np.ndim(position) - 2, known.ndim)))
-    if known.size and is_zero.any():
+    axes = tuple(range(np.ndim(position) - 2, np.ndim(rotation)))
+    # Where they are: one flag is fetched.
+    with jax.ensure_compile_time_eval():
+        is_missing = bool((rotation == 0).all(axis=axes).any())
+    if np.size(rotation) and is_missing:
         raise ValueError(
             "data: its geoms' poses were never computed: call "
             "mujoco.mj_forward(model, data) or mjx.kinematics(model, data) first"

@@ -73,12 +73,14 @@ def _backends() -> list[str]:
 
 
 def _search_path() -> str:
-    """PYTHONPATH with this package, and without empty entries.
+    """PYTHONPATH with this package, and without relative entries.
 
-    To Python they are the current folder, where a `mujoco.py` may lie beside a scene.
+    To Python they, and empty ones, are of the current folder, where a `mujoco.py` may
+    lie beside a scene.
     """
     given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    return os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, given)])
+    absolute = filter(os.path.isabs, given)
+    return os.pathsep.join([str(Path(__file__).parents[2]), *absolute])
 
 
 def _render(view: View, path: Path, backend: str) -> str | None:
