@@ -114,20 +114,22 @@ def _descended(
     pair: CanonicalPair, starts: Sequence[Components], rounds: int
 ) -> Components:
     """The best end of two descents, in a loop of its own."""
-    best = _best(pair, [_refined(pair, u, rounds) for u in starts])
+    best = _best(pair, [_refined(pair, u, rounds, is_last=False) for u in starts])
     return kept_direction(best, of_all(pair))
 
 
 def _best_refined(pair: CanonicalPair, ends: Sequence[Components]) -> Components:
     """The last steps from the best of several, in a loop of their own."""
-    u = _refined(pair, _best(pair, ends), LAST_ROUNDS)
+    u = _refined(pair, _best(pair, ends), LAST_ROUNDS, is_last=True)
     return kept_direction(u, of_all(pair))
 
 
-def _refined(pair: CanonicalPair, u: Components, rounds: int) -> Components:
+def _refined(
+    pair: CanonicalPair, u: Components, rounds: int, *, is_last: bool
+) -> Components:
     here = search(pair)
     for _ in range(rounds):
-        u = improved(here, u)
+        u = improved(here, u, is_last=is_last)
     return u
 
 

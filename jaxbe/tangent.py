@@ -170,12 +170,12 @@ def tangent(pair: Search, u: Components) -> Tangent:
     return Tangent(F, chart, (d_1, d_2), hessian)
 
 
-def improved(pair: Search, u: Components) -> Components:
+def improved(pair: Search, u: Components, *, is_last: bool = True) -> Components:
     """One step of Newton's method, or the beginning of it, or none: whichever is best.
 
-    There are two beginnings: up to where a coordinate reaches zero, or a quarter; up to
-    where the ellipsoid is narrowest, or a sixteenth. What would change its sign on the
-    way stops at zero.
+    The beginning is up to where a coordinate reaches zero, or a quarter. In the last
+    steps there is another one, up to where the ellipsoid is narrowest, or a sixteenth.
+    What would change its sign on the way stops at zero.
 
     Near the minimum all depths are alike to rounding, and the whole step still gains
     digits: it may be deeper by that, and a beginning has to be better by more. Where
@@ -185,17 +185,19 @@ def improved(pair: Search, u: Components) -> Components:
     Args:
         pair: the bodies.
         u: a direction, not zero.
+        is_last: whether to try both beginnings.
     """
     at = tangent(pair, u)
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     zero = _until_first_zero(at.chart, u, t_1, t_2)
-    narrowest = _until_narrowest(pair, u, move)
     best = Best(u, Depth(at.F, shared(jnp.sqrt(dot(u, u)))))
     best, is_whole = _tried(pair, best, _moved(u, move, 1.0), pair.rounding)
     allowance = choose(is_whole, -pair.rounding, pair.rounding)
     best, _ = _tried(pair, best, _moved(u, move, zero), allowance)
-    best, _ = _tried(pair, best, _moved(u, move, narrowest), -pair.rounding)
+    if is_last:
+        narrowest = _until_narrowest(pair, u, move)
+        best, _ = _tried(pair, best, _moved(u, move, narrowest), -pair.rounding)
     return best.u
 
 

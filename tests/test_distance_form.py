@@ -10,6 +10,7 @@ import jaxbe
 from benchmarks import scenes
 from jaxbe import Box, Ellipsoid
 from jaxbe.distance import MAX_STEPS
+from jaxbe.mjx.ellipsoid_box import STEPS
 from tests import programs
 from tests.test_margin_form import LARGEST
 
@@ -18,9 +19,11 @@ pytestmark = pytest.mark.bulk
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
 @pytest.mark.parametrize(
-    "steps", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, MAX_STEPS))]
+    "steps",
+    [3, STEPS, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, MAX_STEPS))],
 )
 def test_no_loop_is_too_large(steps, dtype):
+    """At the default count and that of MJX's contacts, which is the largest loop."""
     bodies = scenes.random(1000).astype(dtype).bodies()
     function = jax.vmap(functools.partial(jaxbe.contact, steps=steps))
     assert programs.largest_expression(function, *bodies) <= LARGEST
