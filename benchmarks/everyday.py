@@ -99,7 +99,8 @@ def text(numbers: dict[str, Any]) -> str:
 relative to max(1, growth distance); distances and gradients as in the report on \
 accuracy; contracts (on_box - on_ellipsoid against distance times normal) relative to \
 the longest length plus the distance of the centres. A contact of bodies that overlap \
-keeps it as far as the search for the shortest way out has come.
+keeps it as far as the search for the shortest way out has come. Wrong verdicts are of \
+balls of a lattice that touch exactly: the rounding of their own axes decides there.
 
 {report.table(header, rows)}
 

@@ -156,8 +156,8 @@ def cubes(scene: Scene) -> Scene:
 
 
 def equal_lengths(scene: Scene) -> Scene:
-    """The ellipsoid's semi-axes are the box's half extents."""
-    return scene._replace(a=scene.e.copy())
+    """The box's half extents are the ellipsoid's semi-axes."""
+    return scene._replace(e=scene.a.copy())
 
 
 def same_axes(scene: Scene) -> Scene:
