@@ -89,7 +89,8 @@ def _gradients(
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
-        still = jax.lax.stop_gradient((box, normal, of_extent, arm, touching))
+        length = of_radius * (a[..., 0] + a[..., 1] + a[..., 2]) / 8
+        still = jax.lax.stop_gradient((box, normal, of_extent, arm, length))
         arm = instead(_on_box(*still), arm)
     return (
         -world,
@@ -106,7 +107,7 @@ def _on_box(
     normal: jax.Array,
     of_extent: Scalars,
     arm: jax.Array,
-    touching: Components,
+    length: Scalars,
 ) -> jax.Array:
     """The touching point from the box's centre, in world axes: exact where on a bound.
 
@@ -119,8 +120,7 @@ def _on_box(
     U = with_rank(box.axes, rank + 2)
     bound = of_extent[..., None] * with_rank(box.half_extents, rank + 1)
     point = _combination(lambda r: U[..., r, :], split_vector(arm, rank))
-    length = (abs(touching[0]) + abs(touching[1]) + abs(touching[2]))[..., None]
-    x = clip(point + normal * length * length, -bound, bound)
+    x = clip(point + normal * length[..., None] * length[..., None], -bound, bound)
     return _combination(lambda i: U[..., i], split_vector(x, rank))
 
 
