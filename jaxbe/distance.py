@@ -126,9 +126,9 @@ class WitnessPoints(NamedTuple):
 def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoints:
     """The ellipsoid's point that is extreme along n, and the box's opposite to it.
 
-    Their difference is -distance n at a minimum, where the first plus that is on the
-    box. Elsewhere it is the nearest point of the box that is taken. No sign of a
-    component of n enters, which is chance where the component is zero to rounding.
+    The second is the first minus distance n, clipped to the box: at a minimum that
+    changes nothing but rounding, elsewhere it gives the box's nearest point. No sign of
+    a component of n enters, which is chance where the component is zero to rounding.
     """
     n, distance = found
     reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)

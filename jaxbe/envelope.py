@@ -89,6 +89,7 @@ def _gradients(
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))
     normal = stack(n)
     if touching is not None:
+        # An eighth: the push by a component of rounding grows with the square.
         length = of_radius * (a[..., 0] + a[..., 1] + a[..., 2]) / 8
         still = jax.lax.stop_gradient((box, normal, of_extent, arm, length))
         arm = instead(_on_box(*still), arm)
