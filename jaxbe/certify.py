@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbe import validate
+from jaxbe import _xla, validate
 from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
@@ -25,10 +25,9 @@ from jaxbe.components import (
     times,
     vector,
 )
-from jaxbe.kept import kept_vector
 from jaxbe.kernel import nearest
 from jaxbe.metric import metric
-from jaxbe.pose import batch_shape, canonical_pair, of_all
+from jaxbe.pose import batch_shape, canonical_pair, runtime_witness
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars, Vectors
 
@@ -96,13 +95,13 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     rank = pair.per_unit.ndim
     near = nearest(pair.k, pair.e, metric(pair.R, pair.a))
     e = split_vector(box.half_extents, rank)
-    given = of_all(pair)
+    witness = runtime_witness(pair)
     x = vector(lambda i: clip(near.x[i] / pair.per_unit, -e[i], e[i]))
-    x = kept_vector(x, given)
+    x = _xla.materialise_vector(x, witness)
     U = split_matrix(box.axes, rank)
     size = largest(_absolute(near.n))
     n = vector(lambda i: near.n[i] / choose(size > 0, size, 1))
-    w = kept_vector(times(U, n), given)
+    w = _xla.materialise_vector(times(U, n), witness)
     proof = _Proof(box, ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)

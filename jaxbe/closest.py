@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.choice import choose
 from jaxbe.components import dot, largest, vector, where
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_direction, shared
-from jaxbe.pose import CanonicalPair, canonical_pair, canonical_pair_again, of_all
+from jaxbe.pose import CanonicalPair, canonical_pair, runtime_witness
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.starts import Read, Start, chosen_starts, first_start, other_starts
 from jaxbe.support import along_axes
@@ -24,9 +24,6 @@ from jaxbe.types import Components, Flags, Scalars
 
 THOROUGH = 5
 """From so many steps on the descents begin at all seven starts, not at four."""
-
-MOST_FIRST_ROUNDS = 3
-"""Steps of the first descents: as many as a loop holds for two starts."""
 
 LAST_ROUNDS = 4
 """Steps from the best of them."""
@@ -51,13 +48,13 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
     descents polish what `jaxbe.separation` found.
     """
-    read = functools.partial(canonical_pair_again, box, ellipsoid)
+    read = functools.partial(canonical_pair, box, ellipsoid)
     ends = _ends_of_descents(canonical_pair(box, ellipsoid), read, steps)
     together = functools.reduce(operator.add, [end[0] for end in ends])
     u = _best_refined(read(together), ends)
     pair = read(u[0])
     F, length = depth(search(pair), u)
-    n = vector(lambda i: shared(u[i] / shared(length)))
+    n = vector(lambda i: _xla.stay_fused(u[i] / _xla.stay_fused(length)))
     distance = -F / length / pair.per_unit
     return Closest(n, choose(_is_too_far(pair), jnp.nan, distance))
 
@@ -77,7 +74,8 @@ def _closest_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     away = dot(moved, found.n)
     moved = vector(lambda i: moved[i] - away * found.n[i])
     along = along_axes(pair, found.n)
-    radius = kept(jnp.sqrt(dot(along, along)) / pair.per_unit, of_all(pair))
+    radius = jnp.sqrt(dot(along, along)) / pair.per_unit
+    radius = _xla.materialise_once(radius, runtime_witness(pair))
     one = jnp.ones_like(radius)
     d_distance = directional_derivative(
         bodies, tangents, found.n, radius, of_extent=one, of_radius=one
@@ -100,7 +98,7 @@ def _ends_of_descents(pair: CanonicalPair, read: Read, steps: int) -> list[Compo
         starts += chosen_starts(read(first[2]))
     else:
         starts += other_starts()
-    rounds = min(max(steps - 1, 1), MOST_FIRST_ROUNDS)
+    rounds = min(max(steps - 1, 1), _xla.DESCENT_STEPS)
     ends = [first]
     for i in range(0, len(starts), 2):
         pair = read(ends[-1][0])
@@ -113,23 +111,24 @@ def _ends_of_descents(pair: CanonicalPair, read: Read, steps: int) -> list[Compo
 def _descended(
     pair: CanonicalPair, starts: Sequence[Components], rounds: int
 ) -> Components:
-    """The best end of two descents, in a loop of its own."""
+    """The best end of two descents."""
     best = _best(pair, [_refined(pair, u, rounds, is_last=False) for u in starts])
-    return kept_direction(best, of_all(pair))
+    return _xla.materialise_direction(best, runtime_witness(pair))
 
 
 def _best_refined(pair: CanonicalPair, ends: Sequence[Components]) -> Components:
-    """The last steps from the best of several, in a loop of their own."""
+    """The last steps from the best of several."""
     u = _refined(pair, _best(pair, ends), LAST_ROUNDS, is_last=True)
-    return kept_direction(u, of_all(pair))
+    return _xla.materialise_direction(u, runtime_witness(pair))
 
 
 def _refined(
     pair: CanonicalPair, u: Components, rounds: int, *, is_last: bool
 ) -> Components:
     here = search(pair)
-    for _ in range(rounds):
-        u = improved(here, u, is_last=is_last)
+    for number in range(rounds):
+        u_0, u_1, u_2 = _xla.between_steps(u, number)
+        u = improved(here, (u_0, u_1, u_2), is_last=is_last)
     return u
 
 

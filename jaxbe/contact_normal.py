@@ -40,7 +40,7 @@ def contact_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
     n, radius = _multipliers(pair, near)
     total = extent(n, pair.e) + radius
     radius = touching(pair, near, n, radius, alpha).radius
-    # Each by a division of its own: products with 1 / total are split into 13 loops.
+    # Each by a division of its own: a quotient with three uses would be computed apart.
     return ContactNormal(vector(lambda i: n[i] / total), radius / total)
 
 
@@ -129,7 +129,7 @@ def _face_normal(pair: CanonicalPair, width: Components) -> Components:
     reach = vector(lambda i: pair.e[i] + width[i])
 
     def beats(i: int, j: int) -> Flags:
-        """The larger quotient distance / reach; a shared quotient splits the loop."""
+        """The larger quotient distance / reach, without a division."""
         return distance[i] * reach[j] >= distance[j] * reach[i]
 
     first = beats(0, 1) & beats(0, 2)

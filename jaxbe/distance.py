@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum
 from jaxbe.closest import Closest, closest
 from jaxbe.components import (
@@ -18,11 +19,10 @@ from jaxbe.components import (
     times,
     vector,
 )
-from jaxbe.growth import STEPS_A_LOOP, growth_bounds
-from jaxbe.kept import kept_vector, shared
+from jaxbe.growth import growth_bounds
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair_again
+from jaxbe.pose import CanonicalPair, canonical_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
@@ -30,6 +30,9 @@ from jaxbe.validate import as_count
 
 DEFAULT_STEPS = 3
 MAX_STEPS = 24
+
+GROWTH_STEPS = 5
+"""Of the growth distance, for the ball in `distance_bounds`."""
 
 
 def signed_distance(
@@ -104,7 +107,7 @@ def distance_bounds(
     y = vector(lambda i: _along_axis(box, on_ellipsoid, i))
     between = vector(lambda i: on_box[i] - y[i])
     apart = jnp.sqrt(dot(between, between))
-    pair = canonical_pair_again(box, ellipsoid, on_box[0])
+    pair = canonical_pair(box, ellipsoid, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
     upper = choose(overlaps, -_contained_ball(pair), apart)
     return lower, maximum(lower, upper)
@@ -131,7 +134,7 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoi
     a component of n enters, which is chance where the component is zero to rounding.
     """
     n, distance = found
-    reach = _reach(canonical_pair_again(box, ellipsoid, n[0]), n)
+    reach = _reach(canonical_pair(box, ellipsoid, n[0]), n)
     d = _offset(box, ellipsoid, reach)
     e = split_vector(box.half_extents, n[0].ndim)
 
@@ -139,15 +142,15 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoi
         return clip(_along_axis(box, d, i) - distance * n[i], -e[i], e[i])
 
     x = vector(coordinate)
-    return WitnessPoints(kept_vector(x, d[2]), d)
+    return WitnessPoints(_xla.materialise_vector(x, d[2]), d)
 
 
 def _reach(pair: CanonicalPair, n: Components) -> Components:
     """The ellipsoid's point -n, in its own axes and metres, negated."""
     along = along_axes(pair, n)
-    radius = shared(jnp.sqrt(dot(along, along)))
+    radius = _xla.stay_fused(jnp.sqrt(dot(along, along)))
     reach = vector(lambda p: pair.a[p] * along[p] / radius / pair.per_unit)
-    return kept_vector(reach, n[0])
+    return _xla.materialise_vector(reach, n[0])
 
 
 def _offset(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
@@ -156,7 +159,7 @@ def _offset(box: Box, ellipsoid: Ellipsoid, reach: Components) -> Components:
     C, K = split_vector(box.center, rank), split_vector(ellipsoid.center, rank)
     turned = times(split_matrix(ellipsoid.axes, rank), reach)
     d = vector(lambda r: K[r] - C[r] - turned[r])
-    return kept_vector(d, reach[2])
+    return _xla.materialise_vector(d, reach[2])
 
 
 def _along_axis(box: Box, d: Components, i: int) -> Scalars:
@@ -166,6 +169,6 @@ def _along_axis(box: Box, d: Components, i: int) -> Scalars:
 
 def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
-    _, alpha = growth_bounds(pair, STEPS_A_LOOP)
+    _, alpha = growth_bounds(pair, GROWTH_STEPS)
     ball = smallest(pair.e) + smallest(pair.a)
     return maximum(1 - alpha, 0) * ball / pair.per_unit

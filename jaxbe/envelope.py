@@ -6,7 +6,7 @@ The margin, the scaled distance and the distance are maxima over n of expression
 
 the last two the support functions of the box and of the ellipsoid. By the envelope
 theorem the derivative of the maximum is that of the expression with the best n held.
-It is written out here, one array a field, on what `jaxbe.kept` keeps.
+It is written out here, one array a field, on what was computed once.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxbe import _xla
 from jaxbe.choice import choose
 from jaxbe.components import clip, split_vector, stack, with_rank
-from jaxbe.kept import shared
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Components, Scalars
 
@@ -77,13 +77,14 @@ def _gradients(
     safe_radius = choose(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
-    # Divided last: XLA makes one division of two, and would undo what keeps the factor.
+    # Divided last: of two divisions the compiler makes one, and would undo what computed
+    # the factor once.
     share = a * along * of_radius[..., None] / safe_radius[..., None]
     reach = a * share
     of_a = along * share
     if touching is not None:
         reach = instead(stack(touching), reach)
-        per_a = shared(reach / a)
+        per_a = _xla.stay_fused(reach / a)
         factor = choose(of_radius == 0, 1, of_radius)[..., None]
         of_a = instead(per_a * per_a * radius[..., None] / (a * factor), of_a)
     arm = K - C - _combination(lambda p: V[..., p], split_vector(reach, rank))

@@ -34,27 +34,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum, minimum
 from jaxbe.components import dot, is_zero, largest, vector
-from jaxbe.contact_normal import ContactNormal, contact_normal, contact_reach
+from jaxbe.contact_normal import contact_normal, contact_reach
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_from, kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, active_inverse, metric, squared_length
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units, of_all
+from jaxbe.pose import (
+    CanonicalPair,
+    canonical_pair,
+    in_units,
+    materialised,
+    runtime_witness,
+)
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
 
 MAX_STEPS = 10
 """More gain nothing at aspect ratios to 1e7, in either dtype."""
-
-STEPS_A_LOOP = 5
-"""Steps left to the compiler as one expression. XLA cuts expressions of more than some
-3000 operations into functions that call each other, and what they share is computed
-again by each: eight steps run a thousand times slower. What precedes is a loop of its
-own (see `jaxbe.kept`), in other units, or else XLA would look for what both share."""
-
 
 FEASIBLE_ROUNDINGS = 8
 """In `_feasible`, more than the roundings of each term, in units of eps."""
@@ -70,26 +69,27 @@ class Iterate(NamedTuple):
 
 def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     """A lower and an upper bound of alpha after `steps` steps."""
-    first = max(0, steps - STEPS_A_LOOP)
+    first = max(0, steps - _xla.GROWTH_STEPS)
     if first:
-        iterate = _first_loop(pair, first)
-        iterate = _more_steps(iterate, in_other_units(pair, 4), STEPS_A_LOOP)
+        iterate = _materialised_steps(pair, first)
+        iterate = _more_steps(iterate, in_units(pair, 4), steps - first)
     else:
         iterate = _first_steps(pair, steps)
     return iterate.lower, maximum(iterate.lower, iterate.upper)
 
 
 def growth_estimate(pair: CanonicalPair, steps: int) -> Scalars:
-    """Alpha to so many steps, to at most STEPS_A_LOOP: not a bound, but nearer."""
+    """Alpha to so few steps that they need no cut: not a bound, but nearer."""
     return _first_steps(pair, steps).trial
 
 
-def _first_loop(pair: CanonicalPair, count: int) -> Iterate:
-    """Some steps in loops of their own; see STEPS_A_LOOP."""
+def _materialised_steps(pair: CanonicalPair, count: int) -> Iterate:
+    """The first steps, apart from those that follow."""
     trial, lower, _ = _first_steps(pair, count)
-    *_, upper = _first_steps(in_other_units(pair, 2), count)
-    trial, lower = kept_pair(trial, lower, of_all(pair))
-    return Iterate(trial, lower, kept_from(upper, of_all(pair)))
+    *_, upper = _first_steps(in_units(pair, 2), count)
+    witness = runtime_witness(pair)
+    trial, lower = _xla.materialise_two(trial, lower, witness)
+    return Iterate(trial, lower, _xla.cut(upper, witness))
 
 
 def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
@@ -98,7 +98,8 @@ def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
 
 def _more_steps(iterate: Iterate, pair: CanonicalPair, count: int) -> Iterate:
     m = metric(pair.R, pair.a)
-    for _ in range(count):
+    for number in range(count):
+        iterate = Iterate(*_xla.between_steps(iterate, number))
         iterate = step(iterate, pair, m)
     return iterate
 
@@ -119,8 +120,8 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     """
     box, ellipsoid = bodies
     alpha = growth_distance(box, ellipsoid, steps)
-    alpha = kept(alpha, of_all(canonical_pair(box, ellipsoid)))
-    n, radius, reach = _kept_contact(box, ellipsoid, alpha)
+    alpha = _xla.materialise_once(alpha, runtime_witness(canonical_pair(*bodies)))
+    n, radius, reach = _materialised_contact(box, ellipsoid, alpha)
     tangent = directional_derivative(
         bodies,
         tangents,
@@ -133,30 +134,26 @@ def _growth_distance_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
     return alpha, tangent
 
 
-def _kept_contact(
+def _materialised_contact(
     box: Box, ellipsoid: Ellipsoid, alpha: Scalars
 ) -> tuple[Components, Scalars, Components]:
     """The contact normal, with e.|n| + radius = 1 in metres, 0 for coincident centres.
 
-    And the touching point, from the ellipsoid's centre and in its axes. In four loops
-    of their own.
+    And the touching point, from the ellipsoid's centre and in its axes.
     """
     pair = canonical_pair(box, ellipsoid)
-    n, _ = _masked_normal(in_other_units(pair, 8), alpha)
-    m, radius = _masked_normal(in_other_units(pair, 16), alpha)
-    n_0, n_1 = kept_pair(n[0], n[1], alpha)
-    n_2, radius = kept_pair(m[2], radius, alpha)
+    normal = functools.partial(_masked_normal, alpha=alpha)
+    n_0, n_1, n_2, radius = materialised(normal, pair, (8, 16), alpha)
     still, at = jax.lax.stop_gradient((pair, alpha))
-    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 32), at)[:2], alpha)
-    r_2 = kept(_reach(in_other_units(still, 64), at)[2], alpha)
+    reach = functools.partial(_reach, alpha=at)
+    r_0, r_1, r_2 = materialised(reach, still, (32, 64), alpha)
     return (n_0, n_1, n_2), radius, (r_0, r_1, r_2)
 
 
-def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> ContactNormal:
+def _masked_normal(pair: CanonicalPair, alpha: Scalars) -> tuple[Scalars, ...]:
     n, radius = contact_normal(pair, alpha)
     here = is_zero(pair.k)
-    metres = vector(lambda i: choose(here, 0, n[i] * pair.per_unit))
-    return ContactNormal(metres, radius)
+    return *vector(lambda i: choose(here, 0, n[i] * pair.per_unit)), radius
 
 
 def _reach(pair: CanonicalPair, alpha: Scalars) -> Components:
@@ -216,7 +213,8 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     Where x and the centre lie almost in one direction, as between two needles, that sum
     cancels: what rounding may hide of it is added to the right side, whatever rho is.
 
-    Written for one loop: no root with two uses, nothing compared with a quotient.
+    Written for one computation: no root with two uses, nothing compared with a
+    quotient.
     """
     square, reach = alpha * alpha, extent(near.n, e)
     size = squared_length(near.x, m)
@@ -225,7 +223,7 @@ def _feasible(alpha: Scalars, near: Nearest, e: Components, m: Metric) -> Scalar
     discriminant = b * b + (square - size) * c
     total = b + jnp.sqrt(maximum(discriminant, 0))
     usable = (discriminant >= 0) & (total > 0) & (c > -total)
-    rho = shared(c / choose(usable, total, 1))
+    rho = _xla.stay_fused(c / choose(usable, total, 1))
     terms = near.q + rho * rho * size + 2 * abs(rho) * (alpha * reach)
     hidden = FEASIBLE_ROUNDINGS * float(np.finfo(alpha.dtype).eps) * terms
     grown = alpha * (1 + rho)

@@ -39,6 +39,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum
 from jaxbe.components import (
     clip,
@@ -52,22 +53,20 @@ from jaxbe.components import (
     where,
 )
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept_pair, shared
 from jaxbe.kernel import nearest
 from jaxbe.metric import inflated, metric_of, shape
 from jaxbe.pose import (
     CanonicalPair,
     canonical_pair,
-    in_other_units,
-    of_all,
+    materialised,
     reciprocal_power_of_two,
+    runtime_witness,
 )
-from jaxbe.separation import STEPS_A_LOOP, refined_shift
+from jaxbe.separation import refined_shift
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 
-MAX_STEPS = STEPS_A_LOOP
-"""As many as XLA compiles well in one expression."""
+MAX_STEPS = 24
 
 ROUNDINGS = 16
 """The slack, in units of eps (|K - C| + sum e + sum a); see above."""
@@ -104,7 +103,7 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        steps: 0 to 4, evaluations of the kernel. None is needed for spheres.
+        steps: 0 to 24, evaluations of the kernel. None is needed for spheres.
 
     Returns:
         Metres, of the common batch shape; at one step or more positive for every pair
@@ -121,18 +120,16 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
 
 @distance_lower_bound.defjvp
 def _distance_lower_bound_jvp(steps: int, bodies: Any, tangents: Any) -> Any:
-    """With the direction held; it is found in two loops of its own."""
+    """With the direction held."""
     box, ellipsoid = bodies
     pair = canonical_pair(box, ellipsoid)
 
-    def found(factor: float) -> Along:
-        scaled = in_other_units(pair, factor)
-        along = _best(_world(box, ellipsoid, scaled), scaled, steps)
-        return along._replace(radius=along.radius / scaled.per_unit)
+    def found(pair: CanonicalPair) -> tuple[Scalars, ...]:
+        along = _best(_world(box, ellipsoid, pair), pair, steps)
+        return *along.n, along.radius / pair.per_unit
 
-    given = of_all(pair)
-    n_0, n_1 = kept_pair(*found(2).n[:2], given)
-    n_2, radius = kept_pair(found(4).n[2], found(4).radius, given)
+    witness = runtime_witness(pair)
+    n_0, n_1, n_2, radius = materialised(found, pair, (2, 4), witness)
     one = jnp.ones_like(radius)
     tangent = directional_derivative(
         bodies, tangents, (n_0, n_1, n_2), radius, of_extent=one, of_radius=one
@@ -158,7 +155,7 @@ def _best(world: World, pair: CanonicalPair, steps: int) -> Along:
     first = _along(world, toward)
     if not steps:
         return first
-    mu = shared(maximum(first.distance, 0) * first.radius)
+    mu = _xla.stay_fused(maximum(first.distance, 0) * first.radius)
     second = _along(world, _scaled(_kernel_normal(pair, mu, steps), toward))
     better = second.distance > first.distance
     return Along(
@@ -173,8 +170,8 @@ def _along(world: World, n: Components) -> Along:
     w = times(world.U, n)
     extent = dot(vector(lambda i: abs(dot(column(world.U, i), w))), world.e)
     terms = vector(lambda p: world.a[p] * dot(column(world.V, p), w))
-    radius = shared(jnp.sqrt(dot(terms, terms)))
-    per_norm = shared(1 / jnp.sqrt(dot(w, w)))
+    radius = _xla.stay_fused(jnp.sqrt(dot(terms, terms)))
+    per_norm = _xla.stay_fused(1 / jnp.sqrt(dot(w, w)))
     return Along(
         n=vector(lambda i: n[i] * per_norm),
         distance=(dot(w, world.c) - extent - radius) * per_norm,
@@ -204,7 +201,7 @@ def _nearest_face(k: Components, e: Components) -> Components:
 def _kernel_normal(pair: CanonicalPair, mu: Scalars, steps: int) -> Components:
     mu = refined_shift(pair, mu, steps - 1)
     form = inflated(shape(pair.R, pair.a), mu)
-    return nearest(pair.k, pair.e, metric_of(form, shared)).n
+    return nearest(pair.k, pair.e, metric_of(form, _xla.stay_fused)).n
 
 
 def _scaled(n: Components, otherwise: Components) -> Components:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.growth import MAX_STEPS, growth_bounds, growth_distance
-from jaxbe.kept import kept_pair
-from jaxbe.pose import canonical_pair, of_all
+from jaxbe.pose import canonical_pair, runtime_witness
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import Scalars
 from jaxbe.validate import DTYPES, as_count, as_number
@@ -95,9 +95,8 @@ def margin_bounds(
         ValueError: as `margin`.
     """
     pair = canonical_pair(box, ellipsoid)
-    lower, upper = kept_pair(
-        *growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS)), of_all(pair)
-    )
+    bounds = growth_bounds(pair, as_count("steps", steps, 0, MAX_STEPS))
+    lower, upper = _xla.materialise_two(*bounds, runtime_witness(pair))
     return lower - 1, upper - 1
 
 

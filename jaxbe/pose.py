@@ -8,13 +8,13 @@ and V the ellipsoid's.)
 
 from __future__ import annotations
 
-import functools
-import operator
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jax import lax
 
+from jaxbe import _xla
 from jaxbe.components import (
     column,
     dot,
@@ -24,7 +24,6 @@ from jaxbe.components import (
     split_vector,
     vector,
 )
-from jaxbe.kept import opaque_one
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.types import ComponentMatrix, Components, Scalars
 
@@ -44,7 +43,7 @@ class CanonicalPair(NamedTuple):
 
 
 def canonical_pair(
-    box: Box, ellipsoid: Ellipsoid, one: Scalars | None = None
+    box: Box, ellipsoid: Ellipsoid, witness: Scalars | None = None
 ) -> CanonicalPair:
     """Expresses the ellipsoid in the frame of the box, and scales.
 
@@ -55,7 +54,8 @@ def canonical_pair(
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        one: a factor of the numbers given, see `canonical_pair_again`.
+        witness: an array at hand, of the whole batch, for a computation of its own:
+            another one for each (see `jaxbe._xla.recompute`). NaN makes the pair NaN.
 
     Returns:
         Components that broadcast to the common batch shape. A NaN or an
@@ -70,9 +70,12 @@ def canonical_pair(
     U, V = split_matrix(box.axes, rank), split_matrix(ellipsoid.axes, rank)
     e = split_vector(box.half_extents, rank)
     a = split_vector(ellipsoid.semi_axes, rank)
-    if one is not None:
-        C, K, e, a = (vector(lambda i: x[i] * one) for x in (C, K, e, a))  # noqa: B023
-        U = matrix(lambda i, j: U[i][j] * one)
+    if witness is not None:
+        C, K, e, a, *U_rows = (
+            vector(lambda i: _xla.recompute(x[i], witness))  # noqa: B023
+            for x in (C, K, e, a, *U)
+        )
+        U = (U_rows[0], U_rows[1], U_rows[2])
     per_unit = reciprocal_power_of_two(largest(a))
     offset = vector(lambda i: (K[i] - C[i]) * per_unit)
     e = vector(lambda i: e[i] * per_unit)
@@ -85,42 +88,45 @@ def canonical_pair(
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 
-def canonical_pair_again(
-    box: Box, ellipsoid: Ellipsoid, given: Scalars
-) -> CanonicalPair:
-    """The canonical pair, for a loop of its own.
+def runtime_witness(pair: CanonicalPair) -> Scalars:
+    """An array of the whole batch, for `jaxbe._xla`: constant only if all of it is.
 
-    XLA writes down and reads again, in dozens of arrays, what two loops share. It does
-    not see that this is the pair that other loops have: they read the bodies again.
-
-    Args:
-        box: any batch shape.
-        ellipsoid: a batch shape that broadcasts with the box's.
-        given: an array at hand, of the whole batch, another one for each loop; best
-            one that the loop needs anyway. NaN makes the pair NaN.
+    NaN only where k is.
     """
-    return canonical_pair(box, ellipsoid, opaque_one(given))
+    return _xla.runtime_witness((*pair.k, pair.R[0][0], *pair.e, *pair.a))
 
 
-def of_all(pair: CanonicalPair) -> Scalars:
-    """An array of the whole batch, for `jaxbe.kept`: constant only if all of it is.
+def in_units(pair: CanonicalPair, factor: float) -> CanonicalPair:
+    """All lengths times a power of two, or as they are: no answer depends on it.
 
-    What is constant inside `jit`, or the same for many pairs, keeps nothing there. NaN
-    only where k is.
-    """
-    return functools.reduce(operator.add, (*pair.k, pair.R[0][0], *pair.e, *pair.a))
-
-
-def in_other_units(pair: CanonicalPair, factor: float) -> CanonicalPair:
-    """All lengths multiplied by a power of two, which changes no answer.
-
-    XLA writes down and reads again, in dozens of arrays, what two loops share. Loops
-    in different units share little; `canonical_pair_again` leaves nothing to share.
+    For a computation that shares nothing with others, see `jaxbe._xla.in_units`.
     """
     k, e, a = (
-        (x * factor, y * factor, z * factor) for x, y, z in (pair.k, pair.e, pair.a)
+        vector(lambda i: _xla.in_units(x[i], factor))  # noqa: B023
+        for x in (pair.k, pair.e, pair.a)
     )
-    return CanonicalPair(k, pair.R, e, a, pair.per_unit * factor)
+    return CanonicalPair(k, pair.R, e, a, _xla.in_units(pair.per_unit, factor))
+
+
+def materialised(
+    function: Callable[[CanonicalPair], Sequence[Scalars]],
+    pair: CanonicalPair,
+    factors: Sequence[float],
+    witness: Scalars,
+) -> list[Scalars]:
+    """What a function of the pair returns, each array computed once.
+
+    Args:
+        function: returns the same in any units.
+        pair: the bodies.
+        factors: units for every two of the results, see `in_units`.
+        witness: see `jaxbe._xla.materialise_once`.
+    """
+    results: list[Scalars] = []
+    for i, factor in enumerate(factors):
+        part = function(in_units(pair, factor))[2 * i : 2 * i + 2]
+        results += _xla.materialise(part, witness)
+    return results
 
 
 def reciprocal_power_of_two(x: Scalars) -> Scalars:

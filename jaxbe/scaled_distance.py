@@ -7,13 +7,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbe import kernel
+from jaxbe import _xla, kernel
 from jaxbe.choice import choose
 from jaxbe.components import vector
 from jaxbe.envelope import directional_derivative
-from jaxbe.kept import kept, kept_pair
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair, in_other_units, of_all
+from jaxbe.pose import (
+    CanonicalPair,
+    canonical_pair,
+    materialised,
+    runtime_witness,
+)
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.touching import touching
 from jaxbe.types import Components, Scalars
@@ -63,13 +67,11 @@ def _scaled_distance_jvp(bodies: Any, tangents: Any) -> tuple[Scalars, Scalars]:
     box, ellipsoid = bodies
     distance = _scaled_distance(box, ellipsoid)
     pair = canonical_pair(box, ellipsoid)
-    distance = kept(distance, of_all(pair))
+    distance = _xla.materialise_once(distance, runtime_witness(pair))
     one = jnp.ones_like(distance)
-    n_0, n_1 = kept_pair(*_normal(in_other_units(pair, 2))[:2], distance)
-    n_2 = kept(_normal(in_other_units(pair, 4))[2], distance)
+    n_0, n_1, n_2 = materialised(_normal, pair, (2, 4), distance)
     still = jax.lax.stop_gradient(pair)
-    r_0, r_1 = kept_pair(*_reach(in_other_units(still, 8))[:2], distance)
-    r_2 = kept(_reach(in_other_units(still, 16))[2], distance)
+    r_0, r_1, r_2 = materialised(_reach, still, (8, 16), distance)
     tangent = directional_derivative(
         bodies,
         tangents,

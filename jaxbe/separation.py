@@ -19,17 +19,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum, minimum
 from jaxbe.components import dot, largest, times, vector
-from jaxbe.kept import kept_pair, shared
 from jaxbe.kernel import Nearest, nearest
 from jaxbe.metric import Metric, Shape, active_inverse, inflated, metric_of, shape
-from jaxbe.pose import CanonicalPair, in_other_units, of_all
+from jaxbe.pose import CanonicalPair, in_units, runtime_witness
 from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
-
-STEPS_A_LOOP = 4
-"""As in `jaxbe.growth`: as many as XLA compiles well in one expression."""
 
 
 class Trial(NamedTuple):
@@ -61,31 +58,40 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
 
     Zero where the bodies overlap.
     """
-    first = steps % STEPS_A_LOOP or min(steps, STEPS_A_LOOP)
-    bracket = _advance(_start(pair), pair, first)
-    per_square = 1.0
-    for _ in range((steps - first) // STEPS_A_LOOP):
-        mu, low = kept_pair(bracket.mu, bracket.low, of_all(pair))
-        pair = in_other_units(pair, 0.5)
-        per_square /= 4
-        resumed = Bracket(mu / 4, low / 4, choose(mu > 0, _highest(pair), 0))
-        bracket = _advance(resumed, pair, STEPS_A_LOOP)
-    return bracket.mu / per_square
+    return _advanced(_start(pair), pair, steps)
 
 
 def refined_shift(pair: CanonicalPair, mu: Scalars, steps: int) -> Scalars:
-    """A guess of mu after so many more steps, at most STEPS_A_LOOP."""
-    return _advance(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps).mu
+    """A guess of mu after so many more steps."""
+    return _advanced(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps)
+
+
+def _advanced(bracket: Bracket, pair: CanonicalPair, steps: int) -> Scalars:
+    """The value of mu after so many steps, in computations of at most so many.
+
+    Each has units of its own; the highest mu is found again in them.
+    """
+    first = steps % _xla.SEPARATION_STEPS or min(steps, _xla.SEPARATION_STEPS)
+    bracket = _advance(bracket, pair, first)
+    halvings = (steps - first) // _xla.SEPARATION_STEPS
+    here = pair
+    for _ in range(halvings):
+        mu, low = _xla.materialise_two(bracket.mu, bracket.low, runtime_witness(here))
+        here = in_units(here, 0.5)
+        mu, low = _xla.in_units(mu, 0.25), _xla.in_units(low, 0.25)
+        bracket = Bracket(mu, low, choose(mu > 0, _highest(here), 0))
+        bracket = _advance(bracket, here, _xla.SEPARATION_STEPS)
+    return _xla.in_units(bracket.mu, 4.0**halvings)
 
 
 def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
     """Evaluates the kernel of the ellipsoid swollen by mu."""
-    m = metric_of(inflated(form, mu), shared)
+    m = metric_of(inflated(form, mu), _xla.stay_fused)
     near = nearest(pair.k, pair.e, m)
     terms = along_axes(pair, near.n)
     return Trial(
         near=near,
-        radius=shared(jnp.sqrt(dot(terms, terms))),
+        radius=_xla.stay_fused(jnp.sqrt(dot(terms, terms))),
         support=times(pair.R, vector(lambda p: pair.a[p] * terms[p])),
         metric=m,
     )
@@ -96,7 +102,7 @@ def _start(pair: CanonicalPair) -> Bracket:
     zero = jnp.zeros_like(pair.k[0] + pair.e[0] + pair.a[0])
     at = trial(pair, shape(pair.R, pair.a), zero)
     # n of length s = 1: its square as it stands leaves the floats, far from a plate.
-    per_radius = shared(1 / _positive(at.radius))
+    per_radius = _xla.stay_fused(1 / _positive(at.radius))
     n = vector(lambda i: at.near.n[i] * per_radius)
     mu = maximum(at.radius - 1, 0) / _positive(dot(n, n))
     high = choose(at.near.q > 1, _highest(pair), zero)
@@ -110,7 +116,8 @@ def _highest(pair: CanonicalPair) -> Scalars:
 
 def _advance(bracket: Bracket, pair: CanonicalPair, count: int) -> Bracket:
     form = shape(pair.R, pair.a)
-    for _ in range(count):
+    for number in range(count):
+        bracket = Bracket(*_xla.between_steps(bracket, number))
         bracket = _step(bracket, pair, form)
     return bracket
 

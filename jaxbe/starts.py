@@ -14,13 +14,13 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.choice import choose, minimum
 from jaxbe.components import column, dot, is_zero, vector, where
 from jaxbe.growth import growth_estimate
-from jaxbe.kept import kept_direction, kept_from, shared
 from jaxbe.kernel import nearest
 from jaxbe.metric import inflated, metric_of, shape
-from jaxbe.pose import CanonicalPair, of_all
+from jaxbe.pose import CanonicalPair, runtime_witness
 from jaxbe.separation import shift
 from jaxbe.support import extent
 from jaxbe.types import Components, Scalars
@@ -29,7 +29,7 @@ Start = Callable[[CanonicalPair], Components]
 """A direction to begin at, of any length."""
 
 Read = Callable[[Scalars], CanonicalPair]
-"""`canonical_pair_again` of the bodies at hand: the pair, for one more loop."""
+"""The pair of the bodies at hand, for one more computation; given a witness."""
 
 GROWTH_STEPS = 1
 """Enough for a start."""
@@ -40,12 +40,13 @@ TRIED = 3
 
 def first_start(pair: CanonicalPair, read: Read, steps: int) -> Components:
     """Start 0, of any length."""
-    mu = kept_from(shift(pair, steps), of_all(pair))
+    mu = _xla.cut(shift(pair, steps), runtime_witness(pair))
     pair = read(mu)
     alpha = growth_estimate(pair, GROWTH_STEPS)
     # One of the two at a time: mu is zero where they overlap.
     alpha = choose(mu > 0, 1, minimum(alpha, 1))
-    return kept_direction(_direction(pair, alpha, mu), of_all(pair))
+    n = _direction(pair, alpha, mu)
+    return _xla.materialise_direction(n, runtime_witness(pair))
 
 
 def other_starts() -> list[Start]:
@@ -81,14 +82,14 @@ def _best_numbers(pair: CanonicalPair) -> Components:
             for i, v in enumerate(values, start=1)
         ]
         numbers.append(number)
-    # One number, because a loop has one result.
+    # As one number: the cheapest array to compute once.
     number = numbers[0] + 8 * numbers[1] + 64 * numbers[2]
-    return _digits(kept_from(number, of_all(pair)))
+    return _digits(_xla.cut(number, runtime_witness(pair)))
 
 
 def _direction(pair: CanonicalPair, alpha: Scalars, mu: Scalars) -> Components:
     """The multipliers of the box scaled by alpha and the ellipsoid swollen by mu."""
-    m = metric_of(inflated(shape(pair.R, pair.a), mu), shared)
+    m = metric_of(inflated(shape(pair.R, pair.a), mu), _xla.stay_fused)
     n = nearest(pair.k, vector(lambda i: alpha * pair.e[i]), m).n
     return where(is_zero(n), _face(pair, 0), n)
 

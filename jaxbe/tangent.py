@@ -18,9 +18,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum
 from jaxbe.components import clip, column, dot, largest, matrix, times, vector, where
-from jaxbe.kept import shared
 from jaxbe.pose import CanonicalPair
 from jaxbe.support import extent
 from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
@@ -137,18 +137,18 @@ def depth(pair: Search, u: Components) -> Depth:
     """F(u) and |u|; minus their quotient is the distance where they are apart."""
     along = _along(pair, u)
     F = extent(u, pair.e) + jnp.sqrt(dot(along, along)) - dot(u, pair.k)
-    return Depth(shared(F), shared(jnp.sqrt(dot(u, u))))
+    return Depth(_xla.stay_fused(F), _xla.stay_fused(jnp.sqrt(dot(u, u))))
 
 
 def tangent(pair: Search, u: Components) -> Tangent:
     """The derivatives of f at u, not zero."""
     along = _along(pair, u)
-    per_s = shared(1 / jnp.sqrt(dot(along, along)))
+    per_s = _xla.stay_fused(1 / jnp.sqrt(dot(along, along)))
     # The ellipsoid's extreme point; not from S, which loses digits.
     p = times(pair.B, vector(lambda p: along[p] * per_s))
     slope = vector(lambda i: _slope(u[i], p[i] - pair.k[i], pair.e[i]))
     F = dot(u, slope)
-    per_square = shared(1 / dot(u, u))
+    per_square = _xla.stay_fused(1 / dot(u, u))
     phi = F * per_square
     chart = _chart(u)
     u_1, u_2 = chart.of_vector(u)
@@ -191,7 +191,7 @@ def improved(pair: Search, u: Components, *, is_last: bool = True) -> Components
     t_1, t_2 = _newton(at, u)
     move = at.chart.move(t_1, t_2)
     zero = _until_first_zero(at.chart, u, t_1, t_2)
-    best = Best(u, Depth(at.F, shared(jnp.sqrt(dot(u, u)))))
+    best = Best(u, Depth(at.F, _xla.stay_fused(jnp.sqrt(dot(u, u)))))
     best, is_whole = _tried(pair, best, _moved(u, move, 1.0), pair.rounding)
     allowance = choose(is_whole, -pair.rounding, pair.rounding)
     best, _ = _tried(pair, best, _moved(u, move, zero), allowance)
@@ -256,7 +256,7 @@ def _newton(at: Tangent, u: Components) -> tuple[Scalars, Scalars]:
     determinant = choose(alone, h_11 * h_22, determinant)
     length = maximum(abs(t_1), abs(t_2))
     divisor = maximum(determinant * unit, length / LONGEST_STEP)
-    scale = shared(unit / choose(divisor > 0, divisor, 1))
+    scale = _xla.stay_fused(unit / choose(divisor > 0, divisor, 1))
     return t_1 * scale, t_2 * scale
 
 
@@ -319,4 +319,4 @@ def _until_first_zero(
 
 def _fraction(left: Scalars, gone: Scalars, usable: Flags, otherwise: float) -> Scalars:
     """The quotient left / gone where it is usable, else a number."""
-    return shared(choose(usable, left / choose(usable, gone, 1), otherwise))
+    return _xla.stay_fused(choose(usable, left / choose(usable, gone, 1), otherwise))

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxbe import _xla
 from jaxbe.choice import choose, maximum
 from jaxbe.components import column, dot, is_zero, largest, matrix, vector
-from jaxbe.kept import shared
 from jaxbe.kernel import Nearest
 from jaxbe.pose import CanonicalPair
 from jaxbe.types import Components, Scalars
@@ -49,8 +49,8 @@ def touching(
         factor: by which the ellipsoid is scaled, of_radius.
     """
     a = pair.a
-    # Used before and after: see `shared`.
-    R = matrix(lambda i, j: shared(pair.R[i][j]))
+    # Used before and after: see `jaxbe._xla.stay_fused`.
+    R = matrix(lambda i, j: _xla.stay_fused(pair.R[i][j]))
     along = vector(lambda p: dot(column(R, p), n))
     point = vector(lambda p: -dot(column(R, p), near.d))
     size = largest(vector(lambda i: abs(n[i])))
@@ -60,14 +60,16 @@ def touching(
     is_long = vector(
         lambda p: apart & (a[p] * a[p] * (factor * size) > 2 * s * lengths)
     )
-    reciprocal = vector(lambda p: shared(1 / (a[p] * choose(factor == 0, 1, factor))))
+    reciprocal = vector(
+        lambda p: _xla.stay_fused(1 / (a[p] * choose(factor == 0, 1, factor)))
+    )
     t = vector(lambda p: choose(is_long[p], point[p] * reciprocal[p], 0))
     short = vector(lambda p: choose(is_long[p], 0, a[p] * along[p]))
     rest = 1 - dot(t, t)
     every = vector(lambda p: a[p] * along[p])
-    alone = shared(dot(short, short) / rest)
-    s = shared(jnp.sqrt(choose(rest > 0.5, alone, dot(every, every))))
-    scale = shared(factor / choose(s == 0, 1, s))
+    alone = _xla.stay_fused(dot(short, short) / rest)
+    s = _xla.stay_fused(jnp.sqrt(choose(rest > 0.5, alone, dot(every, every))))
+    scale = _xla.stay_fused(factor / choose(s == 0, 1, s))
     reach = vector(
         lambda p: choose(is_long[p], point[p], a[p] * (a[p] * along[p]) * scale)
     )

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbe.kept import kept_from
+from jaxbe import _xla
 from jaxbe.lower_bound import distance_lower_bound
 from jaxbe.mjx.gather import bodies
 from jaxbe.mjx.pairs import Ids, Mask, Pairs
@@ -49,8 +49,7 @@ def of_pairs(query: Query, geom: Ids, model: Any, data: Any) -> Scalars:
     if len(ellipsoids) * len(boxes) > WASTE * len(geom):
         box, ellipsoid = bodies(geom[:, 0], geom[:, 1], model, data)
         found = query(box, ellipsoid)
-        # In a loop of its own, or each use of it would compute it again.
-        return kept_from(found, jnp.broadcast_to(box.center[..., 0], found.shape))
+        return _xla.cut(found, box.center[..., 0])
     table = query(*bodies(ellipsoids[:, None], boxes[None, :], model, data))
     # No -1: there may be no state at all.
     flat = table.reshape(*table.shape[:-2], len(ellipsoids) * len(boxes))
