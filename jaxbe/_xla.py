@@ -1,24 +1,24 @@
-"""All that is here because of a compiler: XLA, which JAX compiles with.
+"""All that is here because of a compiler: XLA, which compiles for JAX.
 
-The rest of jaxbe is mathematics, and calls these functions by what they ask for. For
-values and derivatives each is the identity. They are primitives, because what they ask
-for takes other means on a CPU than elsewhere:
+The rest of jaxbe is mathematics, and calls these functions by what they ask for. To
+values and derivatives each is the identity, or nearly. They are primitives, because
+what they ask for takes other means on a CPU than elsewhere:
 
-- XLA's CPU backend makes of every expression a fusion, a loop over the batch, with one
-  result. What several results need it computes again in each, and a fusion of more than
-  some 3,000 operations it cuts into functions that call each other, each of which
-  computes anew what it shares with others. It removes optimization barriers before it
-  fuses. Only a division is never computed twice: divided by a one that it does not see
-  through, an array is a fusion and stays; two arrays, as a complex number, are one too.
-- Its GPU backend merges fusions of several results by itself, and heeds barriers until
-  it has fused. There a program is cut by them alone; complex numbers, packed exponents
-  and repeated evaluations would only cost. Uncut, `signed_distance` is one fusion of 30
-  million instructions a pair, and the time to compile a fusion grows faster than it.
-- Its TPU backend fuses as much as it can, and heeds barriers: they shorten compilation.
+- A fusion of XLA's CPU backend, one loop over the batch, has one result. What several
+  results need it computes again for each, and it cuts a fusion of more than some 3,000
+  operations into functions that call each other, each of which computes again what it
+  shares. It removes optimization barriers before it fuses. Only a division is never
+  computed twice: divided by a one that the compiler does not see through, an array is a
+  fusion and stays; two arrays, as a complex number, are one fusion.
+- Its GPU backend makes fusions of several results by itself, and heeds barriers until
+  it has fused. There they alone cut a program, and the rest is the identity. Uncut,
+  `signed_distance` is 30 million instructions a pair, for the same reason as on a CPU,
+  and the time to compile a fusion grows faster than the fusion.
+- Its TPU backend fuses all it can, and heeds barriers: with them it compiles faster.
 
-Seen in jax 0.6.0 to 0.12.0 (`python -m benchmarks programs`); each entry says when it
-may go. `JAXBE_XLA=off` in the environment makes identities of all of them, to measure
-what they do.
+Seen in jax 0.6.0 to 0.12.0 (`python -m benchmarks programs` shows what the programs
+are); each entry says when it may go. With `JAXBE_XLA=off` in the environment all are
+identities, to measure what they do.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import functools
 import operator
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -37,27 +37,32 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from jaxbe.choice import choose, maximum, minimum
-from jaxbe.types import Components, Flags, Scalars
+from jaxbe.types import Components, Scalars
 
+Tree = TypeVar("Tree")
 Rule = Callable[..., Sequence[Scalars]]
 
 IS_ON = os.environ.get("JAXBE_XLA", "on") != "off"
 
 
-# Step limits. Each count of steps may be any number: what is beyond them is another
-# fusion. They may go when a CPU fusion of any size computes what it shares once.
+class StepLimit(NamedTuple):
+    """How many steps of an iteration one fusion has room for; there may be any number.
 
-GROWTH_STEPS = 5
-"""Steps of `jaxbe.growth` in one fusion."""
+    May go when a fusion of any size computes once what it shares, in linear time.
 
-SEPARATION_STEPS = 4
-"""Steps of `jaxbe.separation` in one fusion."""
+    Attributes:
+        at_once: on a CPU. What is more begins anew, from `hand_over` or `materialise`.
+        uncut: elsewhere, see `between_steps`.
+    """
 
-DESCENT_STEPS = 3
-"""Steps of two descents of `jaxbe.closest` in one fusion."""
+    at_once: int
+    uncut: int
 
-STEPS_BETWEEN_CUTS = 2
-"""See `between_steps`."""
+
+GROWTH_STEPS = StepLimit(5, 2)
+SEPARATION_STEPS = StepLimit(4, 3)
+DESCENT_STEPS = StepLimit(3, 4)
+"""Of two descents at once."""
 
 
 def runtime_witness(arrays: Sequence[Scalars]) -> Scalars:
@@ -72,11 +77,11 @@ def runtime_witness(arrays: Sequence[Scalars]) -> Scalars:
 def materialise(values: Sequence[Scalars], witness: Scalars) -> list[Scalars]:
     """The arrays, which several results need, each computed once.
 
-    An infinity may become the largest float. May go when a CPU's fusions have several
-    results.
+    An infinity may become the largest float. May go when a fusion of the CPU backend
+    has several results.
 
     Args:
-        values: arrays of one computation. On a CPU it is made anew for every two.
+        values: arrays of one computation, which a CPU makes for every two of them.
         witness: at hand, of the whole batch; see `runtime_witness`. Where it is NaN so
             may be the results.
     """
@@ -103,7 +108,7 @@ def materialise_vector(x: Components, witness: Scalars) -> Components:
 
 
 def materialise_direction(u: Components, witness: Scalars) -> Components:
-    """A positive multiple of u, its largest component 1 or -1, from one computation.
+    """A multiple of u, its largest component 1 or -1 to rounding, computed once.
 
     What is far below rounding is zero. May go with `materialise`.
     """
@@ -112,22 +117,32 @@ def materialise_direction(u: Components, witness: Scalars) -> Components:
 
 
 def cut(x: Scalars, witness: Scalars) -> Scalars:
-    """The array x, computed before what uses it, and apart, even if that is one fusion.
+    """The array x, computed apart from what uses it, even if that is one fusion.
 
     (On a CPU `materialise_once` does not part a fusion from the only one that uses it.)
     """
     return _cut(*_alike(x, witness))[0]
 
 
-def between_steps(state: Sequence[Scalars], number: int) -> list[Scalars]:
-    """What an iteration has before another step, where the program may be cut.
+def hand_over(x: Scalars, y: Scalars, witness: Scalars) -> tuple[Scalars, Scalars]:
+    """The state of an iteration after as many steps as a fusion has room for on a CPU.
 
-    A GPU's and a TPU's are cut after every STEPS_BETWEEN_CUTS: the time to compile a
-    fusion there grows faster than the fusion. May go when it does not.
+    As `materialise_two` there; elsewhere `between_steps` cuts. See `StepLimit`.
     """
-    if not number or number % STEPS_BETWEEN_CUTS:
+    x, y = _hand_over(*_alike(x, y, witness))
+    return x, y
+
+
+def between_steps(
+    state: Sequence[Scalars], number: int, limit: StepLimit
+) -> list[Scalars]:
+    """The state of an iteration after so many steps, where a program may be cut.
+
+    A GPU's and a TPU's are cut after every `limit.uncut` steps. See `StepLimit`.
+    """
+    if number == 0 or number % limit.uncut:
         return list(state)
-    return list(_between(*_alike(*state)))
+    return _between_steps(*state)
 
 
 def stay_fused(x: Scalars) -> Scalars:
@@ -137,18 +152,18 @@ def stay_fused(x: Scalars) -> Scalars:
     both before and after. A cheap operation on top of it may be computed again, and
     keeps the fusion whole. May go when quotients may be computed again.
     """
-    return _stay_fused(x)[0]
+    return _stay_fused(*_alike(x))[0]
 
 
 def recompute(x: Scalars, witness: Scalars) -> Scalars:
-    """The array x, from which a fusion computes anew what others compute of it, too.
+    """The array x, from which a CPU computes anew what others compute of it, too.
 
-    XLA writes down and reads again, in dozens of arrays, what two fusions share. On a
-    CPU it does not see that this x is the one that others have. May go when it weighs
-    arrays against operations.
+    XLA writes down and reads again, in dozens of arrays, what two fusions share. It
+    does not see that this x is the one that others have. May go when it weighs arrays
+    against operations, as it does for GPUs.
 
     Args:
-        x: any array, of the inputs: it is read again.
+        x: of the inputs: it is read again.
         witness: at hand, of the whole batch, another one for each fusion; best one that
             the fusion needs anyway. Where it is NaN so may be the result.
     """
@@ -156,12 +171,39 @@ def recompute(x: Scalars, witness: Scalars) -> Scalars:
 
 
 def in_units(x: Scalars, factor: float) -> Scalars:
-    """A length x times a power of two, or x: for a fusion in units of its own.
+    """A length x times a power of two on a CPU, for a fusion in units of its own.
 
     As `recompute`, for what is not of the inputs: fusions in different units share
-    little. Callers must reckon in whatever units they are given.
+    little. Callers reckon in whatever units they get.
     """
-    return _in_units(x, factor=factor)[0]
+    return _in_units(*_alike(x), factor=factor)[0]
+
+
+def recomputed(anew: Tree, known: Tree, witness: Scalars) -> Tree:
+    """What is computed anew on a CPU, and elsewhere what is known already.
+
+    There it crosses a cut, so that nothing else does: XLA's GPU backend, too, would
+    write down all that fusions share. May go when it weighs arrays against operations.
+
+    Args:
+        anew: arrays of `recompute`.
+        known: the same arrays, without.
+        witness: as for `recompute`.
+    """
+    leaves, structure = jax.tree.flatten(anew)
+    operands = _alike(*leaves, *jax.tree.leaves(known), witness)
+    found: Tree = jax.tree.unflatten(structure, _recomputed(*operands))
+    return found
+
+
+def reread(inputs: Tree, witness: Scalars) -> Tree:
+    """The inputs, read again elsewhere than on a CPU by what follows the witness.
+
+    Nothing computed of them before crosses the cut. May go when `recomputed` may.
+    """
+    leaves, structure = jax.tree.flatten(inputs)
+    found: Tree = jax.tree.unflatten(structure, _reread(*leaves, witness))
+    return found
 
 
 def _alike(*arrays: Scalars) -> list[Scalars]:
@@ -171,7 +213,7 @@ def _alike(*arrays: Scalars) -> list[Scalars]:
     return [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in arrays]
 
 
-# On a CPU.
+# On a CPU: of values, and a witness after them.
 
 
 def _opaque_one(witness: Scalars) -> Scalars:
@@ -220,7 +262,10 @@ def _packed(*operands: Scalars) -> list[Scalars]:
     """
     *u, witness = operands
     step, least = _exponents(witness)
-    is_first, is_last, held = _largest(u)
+    size = [abs(x) for x in u]
+    is_first = (size[0] >= size[1]) & (size[0] >= size[2])
+    is_last = ~is_first & (size[2] > size[1])
+    held = choose(is_first, u[0], choose(is_last, u[2], u[1]))
     (x,) = _compared(choose(is_first, u[1], u[0]) / held)
     (y,) = _compared(choose(is_last, u[1], u[2]) / held)
     x, y = _not_zero(x, least), _not_zero(y, least)
@@ -247,14 +292,6 @@ def _exponents(x: Scalars) -> tuple[float, float]:
     return (2.0**40, 2.0**-30) if x.dtype == np.float32 else (2.0**100, 2.0**-80)
 
 
-def _largest(u: Sequence[Scalars]) -> tuple[Flags, Flags, Scalars]:
-    """Whether the largest component is the first, or the last one; and itself."""
-    size = [abs(x) for x in u]
-    is_first = (size[0] >= size[1]) & (size[0] >= size[2])
-    is_last = ~is_first & (size[2] > size[1])
-    return is_first, is_last, choose(is_first, u[0], choose(is_last, u[2], u[1]))
-
-
 def _not_zero(x: Scalars, least: float) -> Scalars:
     return choose(abs(x) < least, least / 4, x)
 
@@ -263,41 +300,55 @@ def _or_zero(x: Scalars, least: float) -> Scalars:
     return choose(abs(x) < least, 0, x)
 
 
-# Elsewhere: of the values alone.
+def _first_half(*operands: Scalars) -> Sequence[Scalars]:
+    return operands[: len(operands) // 2]
 
 
-def _barred(*values: Scalars) -> Sequence[Scalars]:
-    barred: Sequence[Scalars] = lax.optimization_barrier(values)  # type: ignore[no-untyped-call]
+# Elsewhere.
+
+
+def _unchanged(*operands: Scalars, **_: Any) -> Sequence[Scalars]:
+    return operands
+
+
+def _barred(*operands: Scalars) -> Sequence[Scalars]:
+    barred: Sequence[Scalars] = lax.optimization_barrier(operands)  # type: ignore[no-untyped-call]
     return barred
 
 
-def _barred_direction(*u: Scalars) -> Sequence[Scalars]:
-    return _barred(*_normalised(*u))
+def _barred_values(*operands: Scalars) -> Sequence[Scalars]:
+    """Without the witness, which need not be there then."""
+    return _barred(*operands[:-1])
 
 
-def _normalised(*u: Scalars) -> list[Scalars]:
+def _barred_known(*operands: Scalars) -> Sequence[Scalars]:
+    """With the witness: two barriers of the same arrays alone would become one."""
+    return _barred(*operands[len(operands) // 2 :])
+
+
+def _barred_direction(*operands: Scalars) -> Sequence[Scalars]:
+    return _barred(*_normalised(*operands))
+
+
+def _normalised(*operands: Scalars) -> list[Scalars]:
     """The components over the size of the largest one."""
+    u = operands[:3]
     _, least = _exponents(u[0])
-    *_, held = _largest(u)
-    size = abs(held)
-    return [choose(x == held, jnp.sign(held), _or_zero(x / size, least)) for x in u]
+    size = maximum(maximum(abs(u[0]), abs(u[1])), abs(u[2]))
+    return [_or_zero(x / size, least) for x in u]
 
 
-def _unchanged(*values: Scalars, **_: Any) -> Sequence[Scalars]:
-    return values
-
-
-# What both are told.
+# The primitives.
 
 
 class _Hint:
-    """A primitive: values, and a witness after them if it needs one, to the values.
+    """A primitive: from values, and a witness after them, to the values.
 
     Args:
         name: of the primitive, in programs.
-        on_cpu: what a CPU computes, of values and witness.
-        elsewhere: what others compute, of the values.
-        has_witness: whether the last operand is one.
+        on_cpu: what computes the results on a CPU, and perhaps more after them.
+        elsewhere: on other platforms.
+        count: the results, where they are not all operands but the last one.
         value: what it is to derivatives.
     """
 
@@ -305,57 +356,56 @@ class _Hint:
         self,
         name: str,
         on_cpu: Rule,
-        elsewhere: Rule = _unchanged,
-        *,
-        has_witness: bool = True,
+        elsewhere: Rule,
+        count: Callable[[int], int] = lambda operands: operands - 1,
         value: Rule = _unchanged,
     ) -> None:
         self.primitive = Primitive(f"jaxbe_{name}")
         self.primitive.multiple_results = True
-        self.values = slice(-1 if has_witness else None)
+        self.count = count
         self.value = value
-        self.primitive.def_abstract_eval(self._forms)
-        self.primitive.def_impl(self._called)
+        self.primitive.def_abstract_eval(self._values)  # type: ignore[no-untyped-call]
+        self.primitive.def_impl(self._called)  # type: ignore[no-untyped-call]
         batching.primitive_batchers[self.primitive] = self._batched
         ad.primitive_jvps[self.primitive] = self._differentiated
         ad.primitive_transposes[self.primitive] = self._transposed
-        on_others = _of_values(elsewhere if IS_ON else value, self.values)
-        self._lower(on_others, None)
-        self._lower(on_cpu if IS_ON else on_others, "cpu")
+        self._lower(elsewhere if IS_ON else value, None)
+        self._lower(on_cpu if IS_ON else value, "cpu")
 
     def __call__(self, *operands: Scalars, **parameters: Any) -> list[Scalars]:
-        results: list[Scalars] = self.primitive.bind(*operands, **parameters)
+        results: list[Scalars] = self.primitive.bind(*operands, **parameters)  # type: ignore[no-untyped-call]
         return results
 
-    def _lower(self, rule: Rule, platform: str | None) -> None:
-        lowered = mlir.lower_fun(rule, multiple_results=True)
-        mlir.register_lowering(self.primitive, lowered, platform=platform)
+    def _values(self, *operands: Any, **_: Any) -> list[Any]:
+        return list(operands[: self.count(len(operands))])
 
-    def _forms(self, *operands: Any, **_: Any) -> list[Any]:
-        return list(operands[self.values])
+    def _lower(self, rule: Rule, platform: str | None) -> None:
+        def results(*operands: Scalars, **parameters: Any) -> Sequence[Scalars]:
+            return rule(*operands, **parameters)[: self.count(len(operands))]
+
+        lowered = mlir.lower_fun(results, multiple_results=True)
+        mlir.register_lowering(self.primitive, lowered, platform=platform)
 
     def _called(self, *operands: Scalars, **parameters: Any) -> list[Scalars]:
         """On arrays, outside of any transformation."""
-        return _compiled(self.primitive, *parameters.items())(*operands)
+        results: list[Scalars] = _compiled(self, *parameters.items())(*operands)
+        return results
 
     def _batched(
         self, operands: Sequence[Any], axes: Sequence[Any], **parameters: Any
     ) -> tuple[list[Scalars], list[int]]:
-        mapped = zip(operands, axes, strict=True)
-        size = next(x.shape[axis] for x, axis in mapped if axis is not None)
-        aligned = [
-            _batch_first(*each, size) for each in zip(operands, axes, strict=True)
-        ]
-        results = self(*aligned, **parameters)
+        each = list(zip(operands, axes, strict=True))
+        size = next(x.shape[axis] for x, axis in each if axis is not None)
+        results = self(*(_batch_first(*one, size) for one in each), **parameters)
         return results, [0] * len(results)
 
     def _differentiated(
         self, primals: Sequence[Any], tangents: Sequence[Any], **parameters: Any
     ) -> tuple[list[Scalars], list[Any]]:
-        moved = tangents[self.values]
+        moved = self._values(*tangents)
         if self.value is not _unchanged:
-            moved = [ad.instantiate_zeros(tangent) for tangent in moved]
-            _, moved = jax.jvp(self.value, primals[self.values], tuple(moved))
+            whole = tuple(ad.instantiate_zeros(d) for d in tangents)  # type: ignore[no-untyped-call]
+            _, moved = jax.jvp(self.value, primals, whole)
         return self(*primals, **parameters), list(moved)
 
     def _transposed(
@@ -365,27 +415,32 @@ class _Hint:
 
 
 class _LinearHint(_Hint):
-    """Derivatives are told as well, for they compute of the values, too."""
+    """Of one value. Derivatives are hinted at as well, for they compute of it, too."""
 
     def _differentiated(
         self, primals: Sequence[Any], tangents: Sequence[Any], **parameters: Any
     ) -> tuple[list[Scalars], list[Any]]:
-        tangent, witness = tangents[0], primals[1:]
-        if type(tangent) is not ad.Zero:
-            (tangent,) = self(tangent, *witness, **parameters)
-        return self(*primals, **parameters), [tangent]
+        moved = self._moved(tangents[0], primals[1:], parameters)
+        return self(*primals, **parameters), [moved]
 
     def _transposed(
         self, cotangents: Sequence[Any], *operands: Any, **parameters: Any
     ) -> list[Any]:
-        (cotangent,), witness = cotangents, operands[1:]
-        if type(cotangent) is not ad.Zero:
-            (cotangent,) = self(cotangent, *witness, **parameters)
-        return [cotangent, *[None] * len(witness)]
+        witness = operands[1:]
+        moved = self._moved(cotangents[0], witness, parameters)
+        return [moved, *[None] * len(witness)]
+
+    def _moved(self, x: Any, witness: Sequence[Any], parameters: dict[str, Any]) -> Any:
+        return x if type(x) is ad.Zero else self(x, *witness, **parameters)[0]
 
 
-def _of_values(rule: Rule, values: slice) -> Rule:
-    return lambda *operands, **parameters: rule(*operands[values], **parameters)
+class _EachHint(_Hint):
+    """Of values of any shapes: batch axes stay where they are."""
+
+    def _batched(
+        self, operands: Sequence[Any], axes: Sequence[Any], **parameters: Any
+    ) -> tuple[list[Scalars], list[Any]]:
+        return self(*operands, **parameters), self._values(*axes)
 
 
 def _batch_first(x: Scalars, axis: int | None, size: int) -> Scalars:
@@ -395,16 +450,27 @@ def _batch_first(x: Scalars, axis: int | None, size: int) -> Scalars:
 
 
 @functools.lru_cache
-def _compiled(p: Primitive, *parameters: tuple[str, Any]) -> Callable[..., Any]:
-    return jax.jit(functools.partial(p.bind, **dict(parameters)))
+def _compiled(hint: _Hint, *parameters: tuple[str, Any]) -> Callable[..., Any]:
+    return jax.jit(functools.partial(hint.__call__, **dict(parameters)))
 
 
-_materialise = _Hint("materialise", _divided, _barred)
+def _every(operands: int) -> int:
+    return operands
+
+
+def _half(operands: int) -> int:
+    return operands // 2
+
+
+_materialise = _Hint("materialise", _divided, _barred_values)
 _direction = _Hint(
     "materialise_direction", _packed, _barred_direction, value=_normalised
 )
-_cut = _Hint("cut", _divided_twice, _barred)
-_between = _Hint("between_steps", _unchanged, _barred, has_witness=False)
-_stay_fused = _Hint("stay_fused", _compared, has_witness=False)
-_recompute = _LinearHint("recompute", _multiplied)
-_in_units = _LinearHint("in_units", _scaled, has_witness=False)
+_cut = _Hint("cut", _divided_twice, _barred_values)
+_hand_over = _Hint("hand_over", _divided, _unchanged)
+_between_steps = _EachHint("between_steps", _unchanged, _barred, _every)
+_stay_fused = _Hint("stay_fused", _compared, _unchanged, _every)
+_recompute = _LinearHint("recompute", _multiplied, _unchanged)
+_in_units = _LinearHint("in_units", _scaled, _unchanged, _every)
+_recomputed = _Hint("recomputed", _first_half, _barred_known, _half)
+_reread = _EachHint("reread", _unchanged, _barred)

@@ -38,7 +38,7 @@ def overlaps(k: Components, e: Components, m: Metric) -> Flags:
     Returns:
         True when they overlap or touch, and when a number is NaN.
     """
-    candidates = itertools.chain([_inside(k, e)], _faces(k, e, m), _edges(k, e, m))
+    candidates = itertools.chain([_inside(k, e)], _edges(k, e, m), _faces(k, e, m))
     return ~(functools.reduce(minimum, candidates) > 1)
 
 

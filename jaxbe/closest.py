@@ -13,13 +13,18 @@ import numpy as np
 
 from jaxbe import _xla
 from jaxbe.choice import choose
-from jaxbe.components import dot, largest, vector, where
+from jaxbe.components import dot, largest, vector
 from jaxbe.envelope import directional_derivative
-from jaxbe.pose import CanonicalPair, canonical_pair, runtime_witness
+from jaxbe.pose import (
+    CanonicalPair,
+    canonical_pair,
+    recomputed_pair,
+    runtime_witness,
+)
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.starts import Read, Start, chosen_starts, first_start, other_starts
 from jaxbe.support import along_axes
-from jaxbe.tangent import Tangent, depth, improved, search, solve, tangent
+from jaxbe.tangent import Best, Tangent, depth, improved, search, solve, tangent
 from jaxbe.types import Components, Flags, Scalars
 
 THOROUGH = 5
@@ -48,7 +53,7 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
     descents polish what `jaxbe.separation` found.
     """
-    read = functools.partial(canonical_pair, box, ellipsoid)
+    read = functools.partial(recomputed_pair, box, ellipsoid)
     ends = _ends_of_descents(canonical_pair(box, ellipsoid), read, steps)
     together = functools.reduce(operator.add, [end[0] for end in ends])
     u = _best_refined(read(together), ends)
@@ -98,7 +103,7 @@ def _ends_of_descents(pair: CanonicalPair, read: Read, steps: int) -> list[Compo
         starts += chosen_starts(read(first[2]))
     else:
         starts += other_starts()
-    rounds = min(max(steps - 1, 1), _xla.DESCENT_STEPS)
+    rounds = min(max(steps - 1, 1), _xla.DESCENT_STEPS.at_once)
     ends = [first]
     for i in range(0, len(starts), 2):
         pair = read(ends[-1][0])
@@ -127,7 +132,7 @@ def _refined(
 ) -> Components:
     here = search(pair)
     for number in range(rounds):
-        u_0, u_1, u_2 = _xla.between_steps(u, number)
+        u_0, u_1, u_2 = _xla.between_steps(u, number, _xla.DESCENT_STEPS)
         u = improved(here, (u_0, u_1, u_2), is_last=is_last)
     return u
 
@@ -140,7 +145,7 @@ def _best(pair: CanonicalPair, directions: Sequence[Components]) -> Components:
     """The direction of the smallest depth."""
     here = search(pair)
 
-    def better(u: Components, v: Components) -> Components:
-        return where(depth(here, v).is_less(depth(here, u)), v, u)
+    def better(best: Best, other: Best) -> Best:
+        return best.or_better(other)[0]
 
-    return functools.reduce(better, directions)
+    return functools.reduce(better, (Best(u, depth(here, u)) for u in directions)).u

@@ -22,7 +22,7 @@ from jaxbe.components import (
 from jaxbe.growth import growth_bounds
 from jaxbe.kernel import squared_distance
 from jaxbe.metric import metric
-from jaxbe.pose import CanonicalPair, canonical_pair
+from jaxbe.pose import CanonicalPair, canonical_pair, recomputed_pair
 from jaxbe.shapes import Box, Ellipsoid
 from jaxbe.support import along_axes
 from jaxbe.types import Components, Scalars
@@ -107,7 +107,8 @@ def distance_bounds(
     y = vector(lambda i: _along_axis(box, on_ellipsoid, i))
     between = vector(lambda i: on_box[i] - y[i])
     apart = jnp.sqrt(dot(between, between))
-    pair = canonical_pair(box, ellipsoid, on_box[0])
+    inputs = _xla.reread((box, ellipsoid), on_box[0])
+    pair = canonical_pair(*inputs, on_box[0])
     overlaps = squared_distance(pair.k, pair.e, metric(pair.R, pair.a)) <= 1
     upper = choose(overlaps, -_contained_ball(pair), apart)
     return lower, maximum(lower, upper)
@@ -134,7 +135,7 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoi
     a component of n enters, which is chance where the component is zero to rounding.
     """
     n, distance = found
-    reach = _reach(canonical_pair(box, ellipsoid, n[0]), n)
+    reach = _reach(recomputed_pair(box, ellipsoid, n[0]), n)
     d = _offset(box, ellipsoid, reach)
     e = split_vector(box.half_extents, n[0].ndim)
 

@@ -77,8 +77,8 @@ def _gradients(
     safe_radius = choose(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
-    # Divided last: of two divisions the compiler makes one, and would undo what computed
-    # the factor once.
+    # Divided last: of two divisions the compiler makes one, and the factor would be
+    # computed again.
     share = a * along * of_radius[..., None] / safe_radius[..., None]
     reach = a * share
     of_a = along * share

@@ -69,7 +69,7 @@ class Iterate(NamedTuple):
 
 def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     """A lower and an upper bound of alpha after `steps` steps."""
-    first = max(0, steps - _xla.GROWTH_STEPS)
+    first = max(0, steps - _xla.GROWTH_STEPS.at_once)
     if first:
         iterate = _materialised_steps(pair, first)
         iterate = _more_steps(iterate, in_units(pair, 4), steps - first)
@@ -99,7 +99,7 @@ def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
 def _more_steps(iterate: Iterate, pair: CanonicalPair, count: int) -> Iterate:
     m = metric(pair.R, pair.a)
     for number in range(count):
-        iterate = Iterate(*_xla.between_steps(iterate, number))
+        iterate = Iterate(*_xla.between_steps(iterate, number, _xla.GROWTH_STEPS))
         iterate = step(iterate, pair, m)
     return iterate
 
@@ -141,7 +141,7 @@ def _materialised_contact(
 
     And the touching point, from the ellipsoid's centre and in its axes.
     """
-    pair = canonical_pair(box, ellipsoid)
+    pair = canonical_pair(*_xla.reread((box, ellipsoid), alpha))
     normal = functools.partial(_masked_normal, alpha=alpha)
     n_0, n_1, n_2, radius = materialised(normal, pair, (8, 16), alpha)
     still, at = jax.lax.stop_gradient((pair, alpha))

@@ -54,8 +54,8 @@ def canonical_pair(
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
-        witness: an array at hand, of the whole batch, for a computation of its own:
-            another one for each (see `jaxbe._xla.recompute`). NaN makes the pair NaN.
+        witness: for a pair computed anew, see `jaxbe._xla.recompute`. NaN makes the
+            pair NaN.
 
     Returns:
         Components that broadcast to the common batch shape. A NaN or an
@@ -86,6 +86,18 @@ def canonical_pair(
     lengths = k[0] + k[1] + k[2] + e[0] + e[1] + e[2] + a[0] + a[1] + a[2]
     poison = 0 * (lengths + (R[0][0] + R[0][1] + R[0][2]))
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
+
+
+def recomputed_pair(box: Box, ellipsoid: Ellipsoid, witness: Scalars) -> CanonicalPair:
+    """The canonical pair, for a computation that shares nothing else with others.
+
+    Args:
+        box: any batch shape.
+        ellipsoid: a batch shape that broadcasts with the box's.
+        witness: see `jaxbe._xla.recompute`. NaN makes the pair NaN.
+    """
+    anew = canonical_pair(box, ellipsoid, witness)
+    return _xla.recomputed(anew, canonical_pair(box, ellipsoid), witness)
 
 
 def runtime_witness(pair: CanonicalPair) -> Scalars:

@@ -71,16 +71,16 @@ def _advanced(bracket: Bracket, pair: CanonicalPair, steps: int) -> Scalars:
 
     Each has units of its own; the highest mu is found again in them.
     """
-    first = steps % _xla.SEPARATION_STEPS or min(steps, _xla.SEPARATION_STEPS)
-    bracket = _advance(bracket, pair, first)
-    halvings = (steps - first) // _xla.SEPARATION_STEPS
-    here = pair
-    for _ in range(halvings):
-        mu, low = _xla.materialise_two(bracket.mu, bracket.low, runtime_witness(here))
-        here = in_units(here, 0.5)
+    most = _xla.SEPARATION_STEPS.at_once
+    first = steps % most or min(steps, most)
+    bracket = _advance(bracket, pair, range(first))
+    for done in range(first, steps, most):
+        mu, low = _xla.hand_over(bracket.mu, bracket.low, runtime_witness(pair))
+        pair = in_units(pair, 0.5)
         mu, low = _xla.in_units(mu, 0.25), _xla.in_units(low, 0.25)
-        bracket = Bracket(mu, low, choose(mu > 0, _highest(here), 0))
-        bracket = _advance(bracket, here, _xla.SEPARATION_STEPS)
+        bracket = Bracket(mu, low, choose(mu > 0, _highest(pair), 0))
+        bracket = _advance(bracket, pair, range(done, done + most))
+    halvings = (steps - 1) // most
     return _xla.in_units(bracket.mu, 4.0**halvings)
 
 
@@ -114,11 +114,11 @@ def _highest(pair: CanonicalPair) -> Scalars:
     return jnp.sqrt(dot(pair.k, pair.k)) * largest(pair.a)
 
 
-def _advance(bracket: Bracket, pair: CanonicalPair, count: int) -> Bracket:
+def _advance(bracket: Bracket, pair: CanonicalPair, numbers: range) -> Bracket:
     form = shape(pair.R, pair.a)
-    for number in range(count):
-        bracket = Bracket(*_xla.between_steps(bracket, number))
-        bracket = _step(bracket, pair, form)
+    for number in numbers:
+        state = _xla.between_steps(bracket, number, _xla.SEPARATION_STEPS)
+        bracket = _step(Bracket(*state), pair, form)
     return bracket
 
 

@@ -106,6 +106,17 @@ class Best(NamedTuple):
     u: Components
     depth: Depth
 
+    def or_better(
+        self, other: Best, allowance: Scalars | float = 0.0
+    ) -> tuple[Best, Flags]:
+        """The other one if it is less deep, and whether it is; see `Depth.is_less`."""
+        better, here, there = other.depth.is_less(self.depth, allowance), self, other
+        least = Depth(
+            choose(better, there.depth.F, here.depth.F),
+            choose(better, there.depth.length, here.depth.length),
+        )
+        return Best(where(better, there.u, here.u), least), better
+
 
 class Search(NamedTuple):
     """A pair as the search sees it, in its units.
@@ -192,25 +203,18 @@ def improved(pair: Search, u: Components, *, is_last: bool = True) -> Components
     move = at.chart.move(t_1, t_2)
     zero = _until_first_zero(at.chart, u, t_1, t_2)
     best = Best(u, Depth(at.F, _xla.stay_fused(jnp.sqrt(dot(u, u)))))
-    best, is_whole = _tried(pair, best, _moved(u, move, 1.0), pair.rounding)
+
+    def moved(fraction: Scalars | float) -> Best:
+        there = _moved(u, move, fraction)
+        return Best(there, depth(pair, there))
+
+    best, is_whole = best.or_better(moved(1.0), pair.rounding)
     allowance = choose(is_whole, -pair.rounding, pair.rounding)
-    best, _ = _tried(pair, best, _moved(u, move, zero), allowance)
+    best, _ = best.or_better(moved(zero), allowance)
     if is_last:
         narrowest = _until_narrowest(pair, u, move)
-        best, _ = _tried(pair, best, _moved(u, move, narrowest), -pair.rounding)
+        best, _ = best.or_better(moved(narrowest), -pair.rounding)
     return best.u
-
-
-def _tried(
-    pair: Search, best: Best, u: Components, allowance: Scalars
-) -> tuple[Best, Flags]:
-    """The better one of a direction and the best so far; whether it is the former."""
-    there, least = depth(pair, u), best.depth
-    better = there.is_less(least, allowance)
-    least = Depth(
-        choose(better, there.F, least.F), choose(better, there.length, least.length)
-    )
-    return Best(where(better, u, best.u), least), better
 
 
 def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
@@ -224,7 +228,7 @@ def solve(at: Tangent, slopes: tuple[Scalars, Scalars]) -> Components:
 def _slope(u_i: Scalars, g_i: Scalars, e_i: Scalars) -> Scalars:
     """The derivative of F in u_i; where u_i is zero, the smallest one."""
     at_kink = g_i - clip(g_i, -e_i, e_i)
-    return choose(u_i == 0, at_kink, g_i + jnp.sign(u_i) * e_i)
+    return choose(u_i == 0, at_kink, choose(u_i < 0, g_i - e_i, g_i + e_i))
 
 
 def _chart(u: Components) -> Chart:
