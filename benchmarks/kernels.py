@@ -23,7 +23,7 @@ LAUNCH = re.compile(
     r"([\d, ]+)[\]}],?\s*threads(?:/block)?: [\[{]([\d, ]+)"
 )
 """A line of a listing of thunks, as jax 0.6 and as 0.10 have it."""
-THUNK = re.compile(r"^(?:\d+: )?(k[A-Z]\w*)", re.M)
+THUNK = re.compile(r"^\s*(?:\d+: )?(k(?!CommandBuffer|Sequential)[A-Z]\w*)", re.M)
 INSTRUCTION = re.compile(r"^\s*(?:ROOT )?%?([\w.\-]+) = (\(.*?\)|\S+) ([\w\-]+)\((.*)")
 ARRAY = re.compile(r"\b(pred|bf16|[sufc]\d+)\[([\d,]*)\]")
 PREALLOCATED = re.compile(r"^allocation \d+: size (\d+),.* preallocated-temp", re.M)
@@ -106,12 +106,12 @@ def other_thunks(listing: str) -> list[str]:
 
 
 def moved(hlo: str) -> dict[str, int]:
-    """Bytes of operands and results of each instruction of the entry, by name.
+    """Bytes of operands and results of each instruction, by name.
 
     Whole arrays: of what a kernel gathers from, or repeats, every element once. Names
     are as kernels have them.
     """
-    rows = [INSTRUCTION.match(line) for line in _entry(hlo).splitlines()]
+    rows = [INSTRUCTION.match(line) for line in hlo.splitlines()]
     found = {row[1]: row for row in rows if row}
     size = {name: array_bytes(row[2]) for name, row in found.items()}
     return {
@@ -119,10 +119,6 @@ def moved(hlo: str) -> dict[str, int]:
         + sum(size.get(x, 0) for x in set(_operands(row[4])))
         for name, row in found.items()
     }
-
-
-def _entry(hlo: str) -> str:
-    return re.split(r"^ENTRY ", hlo, flags=re.M)[-1]
 
 
 def _operands(rest: str) -> list[str]:
@@ -165,7 +161,7 @@ def of_gpu(compiled: Any, folder: Path, name: str) -> dict[str, Any]:
             "name": kernel,
             "threads": threads,
             "instructions": counted.get(kernel),
-            "bytes": bytes_of.get(_instruction(kernel)),
+            "bytes": bytes_of.get(kernel),
             "registers": None,
             "spilled": None,
         }
@@ -180,11 +176,6 @@ def of_gpu(compiled: Any, folder: Path, name: str) -> dict[str, Any]:
         "others": other_thunks(listing),
         "temporary_bytes": _temporary_bytes(compiled, folder, name),
     }
-
-
-def _instruction(kernel: str) -> str:
-    """The HLO instruction of a kernel: a sort may have several, numbered."""
-    return re.sub(r"^(sort.*)_\d+$", r"\1", kernel)
 
 
 def _temporary_bytes(compiled: Any, folder: Path, name: str) -> int:
@@ -204,9 +195,9 @@ def _dumped(folder: Path, name: str, what: str) -> str:
 
 def of_tpu(compiled: Any) -> dict[str, Any]:
     """What jax says of a program for a TPU."""
-    cost = compiled.cost_analysis() or {}
+    cost, text = compiled.cost_analysis() or {}, compiled.as_text()
     return {
-        "fusions": _entry(compiled.as_text()).count(" fusion("),
+        "fusions": re.split(r"^ENTRY ", text, flags=re.M)[-1].count(" fusion("),
         "temporary_bytes": compiled.memory_analysis().temp_size_in_bytes,
         "flops": cost.get("flops"),
         "bytes": cost.get("bytes accessed"),
