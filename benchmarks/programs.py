@@ -4,9 +4,9 @@ Run from the repository root, with the extra `compilers`, once with each jax:
 
     JAX_PLATFORMS=cpu python -m benchmarks programs
 
-A run replaces the results of its own devices, jax, dtype and pairs, but for programs that
-it leaves out, if they are of the same code. `--check` measures nothing: it says which
-results are of the code as it is.
+A run replaces the results of its own devices, jax, dtype and pairs, but for programs
+that it leaves out, if they are of the same code. `--check` measures nothing: it says
+which results are of the code as it is.
 """
 
 from __future__ import annotations

@@ -60,7 +60,8 @@ ptxas info    : Used 12 registers, 352 bytes cmem[0]
 """
 
 OLD_LISTING = (
-    "kCommandBuffer\t\n    kKernel\t, kernel = loop_fusion, launch dimensions = blocks: {2048, 1, 1}, "
+    "kCommandBuffer\t\n"
+    "    kKernel\t, kernel = loop_fusion, launch dimensions = blocks: {2048, 1, 1}, "
     "threads/block: {128, 1, 1}, cluster_dim = nullopt\n"
     "    kCopy\t"
 )
