@@ -50,7 +50,7 @@ def measure(
     """One program, compiled in a process of its own; `error` says why there is none."""
     if lacking := absent_device.missing(device):
         return {"program": name, "error": lacking}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         words = [device, folder, str(pairs), dtype, name]
         added = absent_device.environment(device, Path(folder))
         found = _run(["benchmarks.program_list", *words], added, limit_seconds)
