@@ -34,12 +34,14 @@ class Part(NamedTuple):
         options: besides --json and --markdown; {NAME} is the stem of a part's results.
         has_quick: whether it knows --quick.
         needs: parts whose results it reads.
+        is_of_this_device: whether its results are named after the device at hand.
     """
 
     what: str
     options: tuple[str, ...] = ()
     has_quick: bool = True
     needs: tuple[str, ...] = ()
+    is_of_this_device: bool = True
 
 
 SUITE = {
@@ -98,6 +100,10 @@ MORE = {
         "placing by the margin's gradient, and by what else there is",
         ("--figure", "{placement}.png"),
     ),
+    "programs": Part(
+        "programs compiled for an H100 and a TPU that are not there",
+        is_of_this_device=False,
+    ),
 }
 """More parts, run if named."""
 
@@ -114,7 +120,11 @@ def device() -> str:
 
 def command(name: str, folder: Path, quick: bool, label: str) -> list[str]:
     """What runs a part."""
-    stems = {part: str(folder / f"{part.replace('_', '-')}-{label}") for part in PARTS}
+    stems = {
+        name: str(folder / f"{name.replace('_', '-')}{'-' * bool(end)}{end}")
+        for name, part in PARTS.items()
+        for end in [label if part.is_of_this_device else ""]
+    }
     stems["table"] = str(folder / f"plan-table-{label}.json")
     if (folder, label) == (RESULTS, "cpu"):
         stems["table"] = str(PLAN_TABLE)

@@ -70,11 +70,11 @@ class OtherLoad:
         return max(0.0, round((busy - own - resolution) / wall, 2))
 
     def _read(self) -> tuple[float, float, float] | None:
-        """Seconds of all cores busy, of this process, of the clock."""
+        """Seconds of all cores busy, of this process and its children, of the clock."""
         listing = Path("/proc/stat")
         if not listing.exists():
             return None
         ticks = [int(x) for x in listing.read_text().split(maxsplit=9)[1:9]]
         idle_and_waiting = ticks[3] + ticks[4]
         busy = (sum(ticks) - idle_and_waiting) / os.sysconf("SC_CLK_TCK")
-        return busy, time.process_time(), time.monotonic()
+        return busy, sum(os.times()[:4]), time.monotonic()
