@@ -197,19 +197,28 @@ class _Run:
         if name in ("add", "sub"):
             return Value(self.flushed(self.sum(name, *operands)))
         if name in ("mul", "square"):
-            factors = arrays[0], arrays[-1]
-            return Value(self.flushed(np.multiply(*factors)), factors)
+            return self.product(arrays[0], arrays[-1])
         if name == "neg":
             factors = operands[0].factors
-            negative = factors and (-factors[0], factors[1])
-            return Value(-arrays[0], negative)
-        if name in INEXACT:
-            return Value(self.flushed(self.moved(INEXACT[name](*arrays))))
+            return Value(-arrays[0], factors and (-factors[0], factors[1]))
         if name == "integer_pow":
-            return Value(self.power(arrays[0], params["y"]))
+            return self.power(arrays[0], params["y"])
+        if name in INEXACT:
+            return self.moved(INEXACT[name](*arrays))
         if name in OPERATIONS:
             return Value(self.flushed(OPERATIONS[name](*arrays)))
         raise NotImplementedError(f"the primitive {name}, of which nothing is known")
+
+    def product(self, x: np.ndarray, y: np.ndarray) -> Value:
+        return Value(self.flushed(np.multiply(x, y)), (x, y))
+
+    def power(self, x: np.ndarray, y: int) -> Value:
+        """A whole power, by repeated products."""
+        ones = Value(np.ones_like(x))
+        result = functools.reduce(
+            lambda product, _: self.product(x, product.array), range(abs(y)), ones
+        )
+        return self.moved(1 / result.array) if y < 0 else result
 
     def sum(self, name: str, x: Value, y: Value) -> np.ndarray:
         """The sum or difference, of one rounding if it is contracted."""
@@ -225,18 +234,11 @@ class _Run:
         share = self.arithmetic.contracts
         return share >= 1 or (share > 0 and self.rng.random() < share)
 
-    def power(self, x: np.ndarray, y: int) -> np.ndarray:
-        factors = [x] * abs(y)
-        result = functools.reduce(
-            lambda p, q: self.flushed(np.multiply(p, q)), factors, np.ones_like(x)
-        )
-        return self.flushed(self.moved(1 / result)) if y < 0 else result
-
-    def moved(self, x: np.ndarray) -> np.ndarray:
+    def moved(self, x: np.ndarray) -> Value:
         """A quotient or root, off by what is chosen for this one."""
         units = self.arithmetic.move(self.sites, x)
         self.sites += 1
-        return moved(x, units)
+        return Value(self.flushed(moved(x, units)))
 
     def flushed(self, x: np.ndarray) -> np.ndarray:
         if not self.arithmetic.flushes or x.dtype.kind != "f":
@@ -287,12 +289,11 @@ def _halves(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return high, x - high
 
 
-CALLS = {
-    "jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call",
-    "checkpoint", "remat2",
-}  # fmt: skip
+CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "checkpoint"}
+"""Primitives that evaluate a jaxpr of their own."""
 
-SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier", "sharding_constraint"}
+SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
+"""Those whose results are their operands."""
 
 INEXACT = {
     "div": np.divide,
@@ -341,6 +342,7 @@ MOVEMENTS = {
     "select_n": _select,
     "squeeze": _shaped,
     "reshape": _shaped,
+    "stack": lambda q, *x: np.stack(x, axis=q.params["axis"]),
     "expand_dims": _shaped,
     "concatenate": lambda q, *x: np.concatenate(x, axis=q.params["dimension"]),
     "bitcast_convert_type": lambda q, x: x.view(q.params["new_dtype"]),
