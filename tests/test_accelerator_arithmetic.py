@@ -248,7 +248,7 @@ def worst_share(claim: Claim, pairs: Pairs, how: Arithmetic, jaxpr: Any) -> floa
 
 QUICK = {"float32": 30, "float64": 6}
 FULL = {"float32": 890, "float64": 40}
-"""Pairs of a kind: 80,000 in float32. Most of float64's need exact arithmetic."""
+"""Pairs of a kind, of 90: 2,700 and 80,000 in float32. Float64's truth is slow."""
 
 HOWS = {
     f"{name}, {share} contracted, {'no ' * (not flushes)}subnormals flushed":
@@ -257,23 +257,24 @@ HOWS = {
     for share in (0, 0.5, 1)
     for flushes in (False, True)
 }  # fmt: skip
-"""Every arithmetic that is tried."""
+"""Every arithmetic that is tried, 42 of them."""
 
-SIZES = pytest.mark.parametrize(
-    "sizes",
-    [QUICK, pytest.param(FULL, marks=pytest.mark.slow)],
-    ids=["some", "many"],
-)
+FEWER_HOWS = {name: how for name, how in HOWS.items() if how.contracts != 0.5}
+"""Those of a normal run."""
 
 
 @pytest.mark.bulk
-@SIZES
+@pytest.mark.parametrize(
+    ("sizes", "hows"),
+    [(QUICK, FEWER_HOWS), pytest.param(FULL, HOWS, marks=pytest.mark.slow)],
+    ids=["some", "many"],
+)
 @pytest.mark.parametrize("name", CLAIMS)
-def test_claims_hold(name, sizes, dtype):
+def test_claims_hold(name, sizes, hows, dtype):
     """With every arithmetic of an accelerator."""
     claim, pairs = CLAIMS[name], pairs_of(sizes[dtype.name], dtype)
     jaxpr = traced(claim, pairs.scene)
-    shares = {k: worst_share(claim, pairs, how, jaxpr) for k, how in HOWS.items()}
+    shares = {k: worst_share(claim, pairs, how, jaxpr) for k, how in hows.items()}
     worst = max(shares, key=shares.__getitem__)
     print(f"{name}, {dtype}, {pairs.scene.size} pairs: {shares[worst]:.3f} of the room")
     assert shares[worst] <= 1, worst
@@ -348,7 +349,7 @@ def test_a_slack_of_zero_is_found_out(dtype):
         assert np.any(margin[pairs.overlapping] > 0)
 
 
-@pytest.mark.parametrize("name", CLAIMS)
+@pytest.mark.parametrize("name", ["certify", "bound 4", "margin 5"])
 def test_unmoved_it_is_ieee_arithmetic(name, dtype):
     """To the bit what JAX computes one operation at a time; a CPU's flush, too."""
     pairs = pairs_of(QUICK[dtype.name], dtype)
