@@ -46,7 +46,7 @@ class Arithmetic(NamedTuple):
 
     Attributes:
         move: how far quotients and roots are off; see `MOVES`.
-        contracts: the share of the products that are added to something without
+        contracts: the fraction of the products that are added to something without
             having been rounded before: 0, 1, or a chance.
         flushes: whether subnormal operands and results are zero.
         seed: of the chance.
@@ -231,8 +231,8 @@ class _Run:
 
     def contracts(self) -> bool:
         """Whether the next product is, the same for all pairs."""
-        share = self.arithmetic.contracts
-        return share >= 1 or (share > 0 and self.rng.random() < share)
+        fraction = self.arithmetic.contracts
+        return fraction >= 1 or (fraction > 0 and self.rng.random() < fraction)
 
     def moved(self, x: np.ndarray) -> Value:
         """A quotient or root, off by what is chosen for this one."""

@@ -11,7 +11,6 @@ import functools
 import itertools
 import sys
 from collections.abc import Callable, Iterator
-from fractions import Fraction
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -19,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.extend.core import Primitive
 
 import jaxbe
 from benchmarks import scenes
@@ -28,7 +26,7 @@ from benchmarks.reference import LONG, value_along
 from jaxbe import kept, lower_bound
 from tests import accelerator_arithmetic as accelerator
 from tests import truth
-from tests.accelerator_arithmetic import MOVES, Arithmetic, Value, evaluate
+from tests.accelerator_arithmetic import MOVES, Arithmetic, evaluate
 from tests.margin_reference import KINDS, LOWS
 
 LEFT_OUT: dict[str, Any] = {
@@ -73,16 +71,16 @@ class Claim(NamedTuple):
 
     Attributes:
         function: of two bodies.
-        share: (n,), of a scene and the results: above 1 the claim is false.
+        fraction: (n,), of a scene and the results: above 1 the claim is false.
     """
 
     function: Callable[..., Any]
-    share: Callable[..., np.ndarray]
+    fraction: Callable[..., np.ndarray]
 
 
 def certificates() -> Claim:
     """No certificate is false: neither verdict nor proof."""
-    return Claim(lambda *bodies: tuple(jaxbe.certify(*bodies)), share_of_proofs)
+    return Claim(lambda *bodies: tuple(jaxbe.certify(*bodies)), fraction_of_proofs)
 
 
 def bounds(steps: int) -> Claim:
@@ -101,16 +99,16 @@ def bounds(steps: int) -> Claim:
             bound = lower_bound.distance_lower_bound.__wrapped__(box, ellipsoid, steps)
         return bound, *(jnp.stack(w, axis=-1) for w in directions)
 
-    return Claim(function, share_of_slack)
+    return Claim(function, fraction_of_slack)
 
 
 def margins(steps: int) -> Claim:
     """The margin of a pair that overlaps is at most `rounding_slack`."""
     function = functools.partial(jaxbe.margin, steps=steps)
-    return Claim(lambda *bodies: function(*bodies), share_of_rounding_slack)
+    return Claim(lambda *bodies: function(*bodies), fraction_of_rounding_slack)
 
 
-def share_of_proofs(pairs, verdict, point, direction) -> np.ndarray:
+def fraction_of_proofs(pairs, verdict, point, direction) -> np.ndarray:
     """2 where a verdict or its proof is false, 0 elsewhere."""
     scene = pairs.scene
     assert set(verdict.tolist()) == {-1, 0, 1}
@@ -129,7 +127,7 @@ def share_of_proofs(pairs, verdict, point, direction) -> np.ndarray:
     return np.where((verdict != 0) & ~right, 2, 0)
 
 
-def share_of_slack(pairs, bound, *directions) -> np.ndarray:
+def fraction_of_slack(pairs, bound, *directions) -> np.ndarray:
     """How far the bound is above what these directions prove, had it no slack.
 
     What any direction proves, in extended precision, is at most the exact distance,
@@ -143,7 +141,7 @@ def share_of_slack(pairs, bound, *directions) -> np.ndarray:
     return (1 + (bound - proved) / slack).astype(np.float64)
 
 
-def share_of_rounding_slack(pairs, margin) -> np.ndarray:
+def fraction_of_rounding_slack(pairs, margin) -> np.ndarray:
     """The margin of pairs that overlap, over what rounding may make of it."""
     slack = jaxbe.rounding_slack(margin.dtype, 1) * pairs.scene.spread
     return np.where(pairs.overlapping, margin / slack, 0)
@@ -238,10 +236,10 @@ def traced(claim: Claim, scene: scenes.Scene) -> Any:
         return jax.make_jaxpr(lambda *bodies: claim.function(*bodies))(*scene.bodies())
 
 
-def worst_share(claim: Claim, pairs: Pairs, how: Arithmetic, jaxpr: Any) -> float:
-    """The largest share of its room that the claim takes; false if above 1."""
+def worst_fraction(claim: Claim, pairs: Pairs, how: Arithmetic, jaxpr: Any) -> float:
+    """The largest fraction of its room that the claim takes; false if above 1."""
     results, _ = evaluate(jaxpr, pairs.scene, how)
-    return float(np.max(claim.share(pairs, *results)))
+    return float(np.max(claim.fraction(pairs, *results)))
 
 
 # The tests
@@ -251,10 +249,10 @@ FULL = {"float32": 890, "float64": 40}
 """Pairs of a kind, of 90: 2,700 and 80,000 in float32. Float64's truth is slow."""
 
 HOWS = {
-    f"{name}, {share} contracted, {'no ' * (not flushes)}subnormals flushed":
-        Arithmetic(move, share, flushes)
+    f"{name}, {fraction} contracted, {'no ' * (not flushes)}subnormals flushed":
+        Arithmetic(move, fraction, flushes)
     for name, move in MOVES.items()
-    for share in (0, 0.5, 1)
+    for fraction in (0, 0.5, 1)
     for flushes in (False, True)
 }  # fmt: skip
 """Every arithmetic that is tried, 42 of them."""
@@ -274,10 +272,9 @@ def test_claims_hold(name, sizes, hows, dtype):
     """With every arithmetic of an accelerator."""
     claim, pairs = CLAIMS[name], pairs_of(sizes[dtype.name], dtype)
     jaxpr = traced(claim, pairs.scene)
-    shares = {k: worst_share(claim, pairs, how, jaxpr) for k, how in hows.items()}
-    worst = max(shares, key=shares.__getitem__)
-    print(f"{name}, {dtype}, {pairs.scene.size} pairs: {shares[worst]:.3f} of the room")
-    assert shares[worst] <= 1, worst
+    fractions = {k: worst_fraction(claim, pairs, how, jaxpr) for k, how in hows.items()}
+    print(f"{name}, {dtype}, {pairs.scene.size} pairs: {max(fractions.values()):.3f}")
+    assert not [k for k, fraction in fractions.items() if not fraction <= 1]
 
 
 @pytest.mark.bulk
@@ -296,9 +293,9 @@ def test_claims_hold_with_each_result_moved_to_its_wrong_side(name, n, contracts
     wrong = accelerator.wrong_sides(
         lambda how: evaluate(jaxpr, pairs.scene, how).results[0], sites, plain
     )
-    share = worst_share(claim, pairs, wrong, jaxpr)
-    print(f"{name}, {pairs.scene.size} pairs, {sites} moved: {share:.3f} of the room")
-    assert worst_share(claim, pairs, plain, jaxpr) <= share <= 1
+    fraction = worst_fraction(claim, pairs, wrong, jaxpr)
+    print(f"{name}, {pairs.scene.size} pairs, {sites} moved: {fraction:.3f}")
+    assert worst_fraction(claim, pairs, plain, jaxpr) <= fraction <= 1
 
 
 def smallest(power: int, dtype: np.dtype) -> Pairs:
@@ -316,8 +313,8 @@ def test_bounds_hold_where_floats_end(power, name, dtype):
     jaxpr = traced(claim, pairs.scene)
     for move, flushes in itertools.product(("exact", "random"), (False, True)):
         how = Arithmetic(MOVES[move], flushes=flushes)
-        share = worst_share(claim, pairs, how, jaxpr)
-        assert share <= 1, (move, flushes)
+        fraction = worst_fraction(claim, pairs, how, jaxpr)
+        assert fraction <= 1, (move, flushes)
 
 
 SMALLER = {
@@ -336,8 +333,8 @@ def test_a_band_that_is_too_small_is_found_out(name, dtype, monkeypatch):
     claim, pairs = CLAIMS[name], pairs_of(QUICK[dtype.name], dtype)
     jaxpr = traced(claim, pairs.scene)
     for how in (Arithmetic(MOVES["random"]), Arithmetic(MOVES["toward zero"], 1, True)):
-        share = worst_share(claim, pairs, how, jaxpr)
-        assert share > 1
+        fraction = worst_fraction(claim, pairs, how, jaxpr)
+        assert fraction > 1
 
 
 def test_a_slack_of_zero_is_found_out(dtype):
@@ -359,138 +356,3 @@ def test_unmoved_it_is_ieee_arithmetic(name, dtype):
     expected = jax.core.eval_jaxpr(jaxpr.jaxpr, jaxpr.consts, *bodies)
     for x, y in zip(results, expected, strict=True):
         np.testing.assert_array_equal(x, y)
-
-
-# The interpreter
-
-
-IEEE = Arithmetic()
-
-
-def evaluated(function, *arguments, how=IEEE):
-    results, _ = evaluate(jax.make_jaxpr(function)(*arguments), arguments, how)
-    return results[0]
-
-
-@pytest.mark.parametrize("units", [-3, -1, 0, 2])
-def test_moved_by_units_in_the_last_place(units, dtype):
-    """Across powers of two, and the sign stays."""
-    x = np.array([1, 1.5, -1, -0.75, 2, 1e-3, np.finfo(dtype).tiny], dtype)
-    expected = x
-    for _ in range(abs(units)):
-        limit = np.inf * np.sign(x) if units > 0 else 0
-        expected = np.nextafter(expected, np.asarray(limit, dtype))
-    np.testing.assert_array_equal(accelerator.moved(x, units), expected)
-
-
-def test_what_is_no_approximation_is_not_moved(dtype):
-    info = np.finfo(dtype)
-    x = np.array([0, -0.0, np.inf, -np.inf, np.nan, info.max, -info.max], dtype)
-    np.testing.assert_array_equal(accelerator.moved(x, 3), x)
-    still = np.array([info.smallest_subnormal], dtype)
-    assert accelerator.moved(still, -3) == 0
-
-
-@pytest.mark.parametrize(
-    ("function", "expected"),
-    [
-        (lambda x, y: x / y, 1),
-        (lambda x, y: jnp.sqrt(x), 1),
-        (lambda x, y: jax.lax.rsqrt(x), 1),
-        (lambda x, y: x**-2, 1),
-        (lambda x, y: jax.jit(lambda z: z / y)(x) / y, 2),
-        (lambda x, y: x**2 * y + x - abs(y), 0),
-    ],
-)
-def test_every_quotient_and_root_is_moved(function, expected, dtype):
-    x, y = (np.array([v], dtype) for v in (3, 7))
-    jaxpr = jax.make_jaxpr(function)(x, y)
-    (still,), sites = evaluate(jaxpr, (x, y), Arithmetic())
-    (away,), _ = evaluate(jaxpr, (x, y), Arithmetic(MOVES["away from zero"]))
-    assert sites == expected
-    eps = np.finfo(dtype).eps
-    assert 1 * expected * eps <= away / still - 1 <= 8 * expected * eps
-
-
-def test_random_moves_go_both_ways(dtype):
-    x = np.linspace(1, 2, 1000, dtype=dtype)
-    assert set(MOVES["random"](0, x).tolist()) == set(range(-3, 4))
-    assert set(MOVES["corners"](0, x).tolist()) == {-3, 3}
-
-
-@pytest.mark.parametrize(
-    "function",
-    [
-        lambda a, b, c: a * b + c,
-        lambda a, b, c: c + a * b,
-        lambda a, b, c: a * b - c,
-        lambda a, b, c: c - a * b,
-        lambda a, b, c: -(a * b) + c,
-        lambda a, b, c: a * a - c,
-        lambda a, b, c: a**2 + c,
-    ],
-)
-def test_contracted_products_are_not_rounded(function, dtype):
-    """As in rational arithmetic, rounded once."""
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=(2, 200)).astype(dtype)
-    c = (a * b * (1 + 1e-3 * rng.normal(size=200))).astype(dtype)
-    fused = evaluated(function, a, b, c, how=Arithmetic(contracts=1))
-    exact = [
-        float(function(*(Fraction(float(x)) for x in abc)))
-        for abc in zip(a, b, c, strict=True)
-    ]
-    np.testing.assert_array_equal(fused, np.asarray(exact).astype(dtype))
-    assert np.any(fused != evaluated(function, a, b, c))
-    called = lambda a, b, c: jax.jit(lambda x: x)(jax.jit(function)(a, b, c))  # noqa: E731
-    again = evaluated(called, a, b, c, how=Arithmetic(contracts=1))
-    np.testing.assert_array_equal(again, fused)
-
-
-def test_subnormals_are_flushed(dtype):
-    """Operands and results, and not what is only moved about."""
-    tiny = np.finfo(dtype).tiny
-    x = np.array([tiny / 2, tiny, -tiny / 2], dtype)
-    how = Arithmetic(flushes=True)
-    half = dtype.type(0.5)
-    np.testing.assert_array_equal(
-        evaluated(lambda x: x * 4, x, how=how), [0, 4 * tiny, 0]
-    )
-    np.testing.assert_array_equal(evaluated(lambda x: x * half, x, how=how), 0)
-    np.testing.assert_array_equal(evaluated(lambda x: x > 0, x, how=how), [0, 1, 0])
-    np.testing.assert_array_equal(evaluated(lambda x: x[:2], x, how=how), x[:2])
-    assert np.all(evaluated(lambda x: x * half, x) != 0)
-
-
-@pytest.mark.parametrize(
-    "function",
-    [jnp.exp, jnp.cumsum, lambda x: jax.lax.complex(x, x), lambda x: x @ x],
-)
-def test_an_unknown_primitive_is_an_error(function, dtype):
-    with pytest.raises(NotImplementedError, match="of which nothing is known"):
-        evaluated(function, np.ones(3, dtype))
-
-
-def test_primitives_for_the_compiler_have_rules_of_their_own(monkeypatch, dtype):
-    """Contraction looks through those that are nothing on an accelerator."""
-    made_up = Primitive("jaxbe_made_up")
-    made_up.def_abstract_eval(lambda x, witness, *, times: x)
-
-    def function(x, y):
-        return made_up.bind(x * y, y, times=3) - y
-
-    x, y = (np.array([v], dtype) for v in (1 / 3, 3))
-    with pytest.raises(NotImplementedError, match="jaxbe_made_up"):
-        evaluated(function, x, y)
-    rules = accelerator.COMPILER_PRIMITIVES
-    monkeypatch.setitem(rules, "jaxbe_made_up", accelerator.identity)
-    contracted = evaluated(function, x, y, how=Arithmetic(contracts=1))
-    assert contracted == evaluated(
-        lambda x, y: x * y - y, x, y, how=Arithmetic(contracts=1)
-    )
-
-    def scaled(x, witness, *, times):
-        return [Value(x.array * times)]
-
-    monkeypatch.setitem(rules, "jaxbe_made_up", scaled)
-    assert evaluated(function, x, y) == 3 * (x * y) - y
