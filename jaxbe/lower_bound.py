@@ -24,10 +24,15 @@ and to first order, the sums by their absolute values, each against |w|:
     differences:     2 of all these
     |w|, quotient:   2.5 + 2 of all these
 
-so at most 13 u (|K - C| + sum e + |a|). `ROUNDINGS` is more than twice that, for
-processors that divide and take roots less exactly than IEEE says, and for a number of
-this dtype that the bound is compared with: no distance is more than |K - C|. Lengths
-are in the pair's units, in which what underflows is far below this.
+so at most 13 u (|K - C| + sum e + |a|). Processors that divide and take roots less
+exactly than IEEE says, by 3 units in the last place (GPUs, TPUs), add 12 u of all these
+for |w| and the quotient and 6 u of |a| for the radius: at most 31 u, and 25 u of
+|K - C|, which leaves room for a number of this dtype that the bound is compared with:
+no distance is more than |K - C|. `ROUNDINGS` is 32 u.
+
+Underflow. Lengths are in the pair's units, in which what underflows is far below this.
+In metres, before and after, what is below the smallest normal float may be taken for
+zero: K, C, K - C, e, a and the bound itself, together less than 11 such floats.
 """
 
 from __future__ import annotations
@@ -69,7 +74,8 @@ from jaxbe.types import ComponentMatrix, Components, Flags, Scalars
 MAX_STEPS = 24
 
 ROUNDINGS = 16
-"""The slack, in units of eps (|K - C| + sum e + sum a); see above."""
+"""The slack, in units of eps (|K - C| + sum e + sum a), and in units of the smallest
+normal float, in metres; see above."""
 
 
 class World(NamedTuple):
@@ -114,7 +120,9 @@ def distance_lower_bound(box: Box, ellipsoid: Ellipsoid, steps: int) -> Scalars:
     """
     pair = canonical_pair(box, ellipsoid)
     world = _world(box, ellipsoid, pair)
-    bound = (_best(world, pair, steps).distance - _slack(world)) / pair.per_unit
+    bound = (
+        _best(world, pair, steps).distance - _slack(world, pair.per_unit)
+    ) / pair.per_unit
     return choose(_has_usable_axes(world), bound, jnp.nan)
 
 
@@ -222,10 +230,11 @@ def _has_usable_axes(world: World) -> Flags:
     return usable
 
 
-def _slack(world: World) -> Scalars:
+def _slack(world: World, per_unit: Scalars) -> Scalars:
     """How much rounding can add to the bound, in the pair's units."""
     c, e, a = world.c, world.e, world.a
     # Infinite lengths of the wrong sign are not to be decided, either.
     sizes = vector(lambda i: abs(c[i]) + abs(e[i]) + abs(a[i]))
-    eps = float(np.finfo(a[0].dtype).eps)
-    return ROUNDINGS * eps * (sizes[0] + sizes[1] + sizes[2])
+    info = np.finfo(per_unit.dtype)
+    rounded = float(ROUNDINGS * info.eps) * (sizes[0] + sizes[1] + sizes[2])
+    return rounded + float(ROUNDINGS * info.tiny) * per_unit

@@ -62,7 +62,7 @@ def bound_along(box, ellipsoid, n):
     pair = canonical_pair(box, ellipsoid)
     world = lower_bound._world(box, ellipsoid, pair)
     along = lower_bound._along(world, tuple(n[:, i] for i in range(3)))
-    return (along.distance - lower_bound._slack(world)) / pair.per_unit
+    return (along.distance - lower_bound._slack(world, pair.per_unit)) / pair.per_unit
 
 
 @pytest.mark.parametrize("low", LOWS.values(), ids=LOWS)
