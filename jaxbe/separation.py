@@ -74,14 +74,14 @@ def _advanced(bracket: Bracket, pair: CanonicalPair, steps: int) -> Scalars:
     most = _xla.SEPARATION_STEPS.at_once
     first = steps % most or min(steps, most)
     bracket = _advance(bracket, pair, range(first))
-    for done in range(first, steps, most):
+    later = range(first, steps, most)
+    for done in later:
         mu, low = _xla.hand_over(bracket.mu, bracket.low, runtime_witness(pair))
         pair = in_units(pair, 0.5)
         mu, low = _xla.in_units(mu, 0.25), _xla.in_units(low, 0.25)
         bracket = Bracket(mu, low, choose(mu > 0, _highest(pair), 0))
         bracket = _advance(bracket, pair, range(done, done + most))
-    halvings = (steps - 1) // most
-    return _xla.in_units(bracket.mu, 4.0**halvings)
+    return _xla.in_units(bracket.mu, 4.0 ** len(later))
 
 
 def trial(pair: CanonicalPair, form: Shape, mu: Scalars) -> Trial:
