@@ -64,6 +64,14 @@ SEPARATION_STEPS = StepLimit(4, 3)
 DESCENT_STEPS = StepLimit(3, 4)
 """Of two descents at once."""
 
+MAX_TABLE_RATIO = 4
+"""A table of all rows against all columns may have so many times the entries wanted.
+
+XLA computes the entries that are chosen from it and no more, in one fusion, and gathers
+each row and column once: on a CPU four times as fast as gathering both for each entry.
+May go when gathers are fused there.
+"""
+
 
 def runtime_witness(arrays: Sequence[Scalars]) -> Scalars:
     """An array over the whole batch that is a constant only if all of these are.

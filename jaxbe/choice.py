@@ -3,7 +3,7 @@
 An axis that is part of the arrays' types (those of `jax.make_mesh` are, by default) is
 one that constants do not have, and JAX refuses to choose between two of them by a
 condition that has it; the derivatives of its maximum and minimum do that. There the
-constants are multiplied by a one that has the axis, which XLA removes; everywhere else
+constants are multiplied by a one that has the axis, at no cost; everywhere else
 these are JAX's own functions.
 """
 

@@ -54,7 +54,7 @@ def chunked(
 
     Returns:
         A function of the same arguments (not to be called inside `jit`) and result, in
-        NumPy arrays on the host: equal to the bit where XLA makes the same program of a
+        NumPy arrays on the host: equal to the bit where the same program is made of a
         chunk and of the whole, and else to rounding. Arrays of float64 are rounded to
         float32 where JAX has float64 switched off, as by the constructors.
 

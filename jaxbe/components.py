@@ -1,8 +1,8 @@
 """Vectors and matrices as tuples of arrays, one array a component.
 
-The kernels compute on components, not on arrays of vectors: XLA then fuses a
-whole test into one loop over the batch, no 3x3 product is left to a matrix unit
-of lower precision, and stacked intermediates never reach memory.
+The kernels compute on components, not on arrays of vectors: a whole test is then one
+elementwise expression, no 3x3 product is left to a matrix unit of lower precision, and
+stacked intermediates never reach memory.
 """
 
 from __future__ import annotations

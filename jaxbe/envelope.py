@@ -77,8 +77,8 @@ def _gradients(
     safe_radius = choose(radius == 0, 1, radius)
     world = _combination(lambda i: U[..., i], n)
     along = _combination(lambda r: V[..., r, :], split_vector(world, rank))
-    # Divided last: of two divisions the compiler makes one, and the factor would be
-    # computed again.
+    # Divided last: the compiler makes one division of two, and computes again what had
+    # been materialised.
     share = a * along * of_radius[..., None] / safe_radius[..., None]
     reach = a * share
     of_a = along * share

@@ -15,7 +15,7 @@ from jaxbe.validate import DTYPES, as_count, as_number
 
 DEFAULT_STEPS = 5
 
-ARITHMETIC_ROUNDINGS = 81
+ARITHMETIC_ROUNDINGS = 97
 """In `rounding_slack`, what arithmetic adds, in units of eps times the aspect ratio."""
 
 AXES_ROUNDINGS = 3.75
@@ -104,9 +104,11 @@ def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) ->
     """How far above zero rounding can lift the margin of a pair that overlaps.
 
     A filter that drops only pairs with margin(steps=s) > rounding_slack loses none, at
-    any s, NaN included. It is 96 eps times the aspect ratio by default, some fifty
-    times what is observed; 13 times where all quotients and roots are 3 units in the
-    last place off, to the wrong side, as they can be on a GPU or TPU.
+    any s, NaN included. It is 112 eps times the aspect ratio by default, some sixty
+    times what is observed; 15 times where all quotients and roots are 3 units in the
+    last place off, to the wrong side, as they can be on accelerators. Lengths of which
+    squares underflow are not counted: below some 1e-32 m where subnormal numbers are
+    flushed to zero, in float32.
 
     Derivation, to first order, with u = eps / 2 and r the aspect ratio. The value
     computed is (q + alpha E) / (E + sqrt(q)) for the residuals (d_i, r_j, r_l) and the
@@ -123,8 +125,10 @@ def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) ->
         the same in the length of n, and its own sums                  36 + 13
         axes orthonormal to axes_error eps only: N is not quite S^-1  7.5 each
         complementarity, n.x against alpha E (the kernel's key)              6
+        quotients and roots off by 3 units in the last place, not by half:
+        5 more for each, in the residuals, in the length and outside        48
 
-    together 145 and, with an axes_error of 4, 175: less than 96 eps r.
+    together 193 and, with an axes_error of 4, 223: less than 112 eps r.
     The choice of the best candidate adds nothing: q plus the gap is compared, so the
     gap of the chosen one is of the order of the above.
 

@@ -145,7 +145,7 @@ def reciprocal_power_of_two(x: Scalars) -> Scalars:
     """1 / 2^floor(log2 x), exactly, from the exponent bits; a constant to autodiff.
 
     Exact for normal x up to a quarter of the largest float; finite and positive
-    for every x that is not NaN. (`exp2` and `log2` are not exact under XLA.)
+    for every x that is not NaN. (`exp2` and `log2` are not exact.)
     """
     info = np.finfo(x.dtype)
     integer = np.dtype(f"int{info.bits}").type

@@ -63,7 +63,10 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
 
 def refined_shift(pair: CanonicalPair, mu: Scalars, steps: int) -> Scalars:
     """A guess of mu after so many more steps."""
-    return _advanced(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps)
+    mu = _advanced(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps)
+    if steps <= _xla.SEPARATION_STEPS.at_once:
+        return mu
+    return _xla.cut(mu, runtime_witness(pair))
 
 
 def _advanced(bracket: Bracket, pair: CanonicalPair, steps: int) -> Scalars:

@@ -277,8 +277,8 @@ def test_excess_over_overlapping_pairs_is_rounding(name, aspect):
 
 def test_rounding_slack_grows_with_the_aspect_ratio_and_eps(dtype):
     eps = float(np.finfo(dtype).eps)
-    assert jaxbe.rounding_slack(dtype, 1.0) == 96 * eps
-    assert jaxbe.rounding_slack(dtype.name, 40) == 40 * 96 * eps
+    assert jaxbe.rounding_slack(dtype, 1.0) == 112 * eps
+    assert jaxbe.rounding_slack(dtype.name, 40) == 40 * 112 * eps
 
 
 @pytest.mark.parametrize(

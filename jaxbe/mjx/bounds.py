@@ -18,10 +18,6 @@ from jaxbe.validate import is_readable
 
 Query = Callable[[Box, Ellipsoid], Scalars]
 
-WASTE = 4
-"""Up to so many times as many ellipsoids times boxes as there are pairs are written
-down to be chosen from."""
-
 
 def pair_distances(pairs: Pairs, model: Any, data: Any, steps: int) -> Scalars:
     """The certified lower bounds, (..., P); spheres take no steps."""
@@ -40,13 +36,11 @@ def pair_distances(pairs: Pairs, model: Any, data: Any, steps: int) -> Scalars:
 def of_pairs(query: Query, geom: Ids, model: Any, data: Any) -> Scalars:
     """What a query says of the pairs (P, 2) of ids: (..., P).
 
-    As a choice from every ellipsoid against every box: XLA computes what is chosen and
-    no more, in one vectorised loop, and gathers each body once. On a CPU that is four
-    times as fast as gathering the bodies of every pair.
+    As a choice from every ellipsoid against every box, see `_xla.MAX_TABLE_RATIO`.
     """
     ellipsoids, row = np.unique(geom[:, 0], return_inverse=True)
     boxes, column = np.unique(geom[:, 1], return_inverse=True)
-    if len(ellipsoids) * len(boxes) > WASTE * len(geom):
+    if len(ellipsoids) * len(boxes) > _xla.MAX_TABLE_RATIO * len(geom):
         box, ellipsoid = bodies(geom[:, 0], geom[:, 1], model, data)
         found = query(box, ellipsoid)
         return _xla.cut(found, box.center[..., 0])

@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from jaxbe.contact import contact
 from jaxbe.shapes import Box, Ellipsoid
@@ -50,9 +49,6 @@ ellipsoid_box.ncon = 1  # type: ignore[attr-defined]
 def _collide(
     position: Vectors, axes: Matrices, size: Vectors, geom: jax.Array
 ) -> Collision:
-    # Sizes are often constants, those of a model that a step closes over. What is made
-    # of constants alone keeps nothing (see `jaxbe.kept`): XLA would not come to an end.
-    size = lax.optimization_barrier(size)  # type: ignore[no-untyped-call]
     ellipsoid, box = geom[:, 0], geom[:, 1]
     touch = contact(
         Box.unchecked(position[box], axes[box], size[box]),

@@ -81,7 +81,7 @@ def filter_contacts(
             sum, and 3.9.0, where the gap was part of the margin, that is more than
             needed.
         max_pairs: how many candidates to return; all pairs if None.
-        steps: 0 to 4, evaluations of the kernel. At distance 0 one step keeps no more
+        steps: 0 to 24, evaluations of the kernel. At distance 0 one step keeps no more
             than it must but for rounding; no step 3 % more in the scene shipped with
             jaxbe, and many more where pairs nearly touch (`benchmarks.filter`).
         mask: bools that broadcast to (..., P), in the order of `pairs`: False drops a
@@ -146,8 +146,7 @@ def nearest_candidates(
     pairs: Pairs, found: Scalars, kept: Flags, count: int
 ) -> Candidates:
     """The nearest of those kept, in a fixed number of places."""
-    # One more than wanted: for all there are XLA sorts, which on a CPU takes twice as
-    # long as choosing.
+    # One more than wanted: choosing some is faster than sorting all.
     missing = max(0, count + 1 - len(pairs))
     last = pairs.geom[-1:] if len(pairs) else np.full((1, 2), -1)
     geom = np.concatenate([pairs.geom, np.repeat(last, missing, axis=0)])
