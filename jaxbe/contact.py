@@ -72,10 +72,10 @@ def contact(box: Box, ellipsoid: Ellipsoid, *, steps: int = DEFAULT_STEPS) -> Co
     on_box, on_ellipsoid = _from_center(box, _turned(box, x)), _from_center(box, d)
     return Contact(
         distance=distance,
-        position=(on_box + on_ellipsoid) / 2,
+        position=stack(vector(lambda r: (on_box[r] + on_ellipsoid[r]) / 2)),
         normal=stack(_turned(box, vector(lambda i: -n[i]))),
-        on_box=on_box,
-        on_ellipsoid=on_ellipsoid,
+        on_box=stack(on_box),
+        on_ellipsoid=stack(on_ellipsoid),
     )
 
 
@@ -84,7 +84,7 @@ def _turned(box: Box, x: Components) -> Components:
     return times(split_matrix(box.axes, x[0].ndim), x)
 
 
-def _from_center(box: Box, d: Components) -> Vectors:
+def _from_center(box: Box, d: Components) -> Components:
     """C + d."""
     C = split_vector(box.center, d[0].ndim)
-    return stack(vector(lambda r: C[r] + d[r]))
+    return vector(lambda r: C[r] + d[r])

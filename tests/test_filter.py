@@ -13,6 +13,7 @@ from mujoco import mjx
 import jaxbe
 from benchmarks import scenes
 from benchmarks.reference import value_along
+from jaxbe import _xla
 from jaxbe.lower_bound import MAX_STEPS
 from jaxbe.mjx import Candidates, Pairs, bounds, filter_contacts, find_pairs, gather
 from jaxbe.mjx.margins import contact_distance
