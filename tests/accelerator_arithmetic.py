@@ -62,7 +62,7 @@ COMPILER_PRIMITIVES: dict[str, Rule] = {
 
 
 def direction(*operands: jax.Array) -> list[jax.Array]:
-    """Three components over the size of the largest; what is far below rounding is 0."""
+    """Components over the size of the largest; what is far below rounding is zero."""
     u = operands[:3]
     size = functools.reduce(jax.lax.max, map(abs, u))
     least = 2.0**-30 if size.dtype == np.float32 else 2.0**-80
