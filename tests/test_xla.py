@@ -74,7 +74,11 @@ ENTRIES = {
     "stay_fused": given(_xla.stay_fused, every, 1),
     "recompute": given(_xla.recompute, but_last, 2, keeps_hint=True),
     "in_units": Entry(
-        lambda x: _xla.in_units(x, FACTOR), lambda x: (FACTOR * x,), every, 1, True
+        lambda x: _xla.in_units(x, FACTOR),
+        lambda x: (x * np.asarray(FACTOR, x.dtype),),
+        every,
+        1,
+        True,
     ),
     "recomputed": Entry(
         lambda a, b, c, d, w: _xla.recomputed((a, b), (c, d), w),
