@@ -35,6 +35,7 @@ import numpy as np
 from jax import lax
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+from jax.sharding import AxisType
 
 from jaxbe.choice import choose, maximum, minimum
 from jaxbe.types import Components, Scalars
@@ -385,7 +386,11 @@ class _Hint:
         return results
 
     def _values(self, *operands: Any, **_: Any) -> list[Any]:
-        return list(operands[: self.count(len(operands))])
+        count = self.count(len(operands))
+        if self.value is _unchanged:
+            return list(operands[:count])
+        # Each is computed of all: where they differ among devices, so does the witness.
+        return [operands[-1]] * count
 
     def _lower(self, rule: Rule, platform: str | None) -> None:
         def results(*operands: Scalars, **parameters: Any) -> Sequence[Scalars]:
@@ -396,22 +401,25 @@ class _Hint:
 
     def _called(self, *operands: Scalars, **parameters: Any) -> list[Scalars]:
         """On arrays, outside of any transformation."""
-        results: list[Scalars] = _compiled(self, *parameters.items())(*operands)
+        # Where `jit` is disabled it would call this again, without end.
+        with jax.disable_jit(False):
+            results: list[Scalars] = _compiled(self, *parameters.items())(*operands)
         return results
 
     def _batched(
         self, operands: Sequence[Any], axes: Sequence[Any], **parameters: Any
     ) -> tuple[list[Scalars], list[int]]:
         each = list(zip(operands, axes, strict=True))
-        size = next(x.shape[axis] for x, axis in each if axis is not None)
-        results = self(*(_batch_first(*one, size) for one in each), **parameters)
+        mapped = next(jnp.moveaxis(x, axis, 0) for x, axis in each if axis is not None)
+        results = self(*(_batch_first(*one, mapped) for one in each), **parameters)
         return results, [0] * len(results)
 
     def _differentiated(
         self, primals: Sequence[Any], tangents: Sequence[Any], **parameters: Any
     ) -> tuple[list[Scalars], list[Any]]:
-        moved = self._values(*tangents)
-        if self.value is not _unchanged:
+        if self.value is _unchanged:
+            moved = self._values(*tangents)
+        else:
             whole = tuple(ad.instantiate_zeros(d) for d in tangents)  # type: ignore[no-untyped-call]
             _, moved = jax.jvp(self.value, primals, whole)
         return self(*primals, **parameters), list(moved)
@@ -451,10 +459,14 @@ class _EachHint(_Hint):
         return self(*operands, **parameters), self._values(*axes)
 
 
-def _batch_first(x: Scalars, axis: int | None, size: int) -> Scalars:
-    if axis is None:
-        return jnp.broadcast_to(x, (size, *jnp.shape(x)))
-    return jnp.moveaxis(x, axis, 0)
+def _batch_first(x: Scalars, axis: int | None, mapped: Scalars) -> Scalars:
+    """As the mapped one is, also over an explicit axis of a mesh (`jaxbe.choice`)."""
+    if axis is not None:
+        return jnp.moveaxis(x, axis, 0)
+    x = jnp.broadcast_to(x, mapped.shape)
+    if AxisType.Explicit in jax.typeof(mapped).sharding.mesh.axis_types:
+        return x * ((mapped == mapped) | True).astype(x.dtype)
+    return x
 
 
 @functools.lru_cache

@@ -33,12 +33,45 @@ Rule = Callable[..., Sequence[Value]]
 
 
 def identity(*operands: Value, **_: Any) -> Sequence[Value]:
-    """The first operand; the others are for the compiler's eyes only."""
-    return operands[:1]
+    """All operands."""
+    return operands
 
 
-COMPILER_PRIMITIVES: dict[str, Rule] = {}
+def all_but_last(*operands: Value, **_: Any) -> Sequence[Value]:
+    """The last one, the witness, is for the compiler's eyes only."""
+    return operands[:-1]
+
+
+def second_half(*operands: Value, **_: Any) -> Sequence[Value]:
+    """What is known already, not what would be computed anew; without the witness."""
+    return operands[len(operands) // 2 : -1]
+
+
+COMPILER_PRIMITIVES: dict[str, Rule] = {
+    "jaxbe_materialise": all_but_last,
+    "jaxbe_cut": all_but_last,
+    "jaxbe_hand_over": all_but_last,
+    "jaxbe_between_steps": identity,
+    "jaxbe_stay_fused": identity,
+    "jaxbe_recompute": all_but_last,
+    "jaxbe_in_units": identity,
+    "jaxbe_recomputed": second_half,
+    "jaxbe_reread": all_but_last,
+}
 """What the primitives by which jaxbe speaks to the compiler do on an accelerator."""
+
+
+def direction(*operands: jax.Array) -> list[jax.Array]:
+    """Components over the size of the largest; what is far below rounding is zero."""
+    u = operands[:3]
+    size = functools.reduce(jax.lax.max, map(abs, u))
+    least = 2.0**-30 if size.dtype == np.float32 else 2.0**-80
+    over = [x / size for x in u]
+    return [jax.lax.select(abs(x) < least, jax.numpy.zeros_like(x), x) for x in over]
+
+
+COMPILER_FUNCTIONS = {"jaxbe_materialise_direction": direction}
+"""Those that compute something there: its quotients are moved, too."""
 
 
 class Arithmetic(NamedTuple):
@@ -176,6 +209,10 @@ class _Run:
         name, params = equation.primitive.name, equation.params
         if name in COMPILER_PRIMITIVES:
             return COMPILER_PRIMITIVES[name](*operands, **params)
+        if name in COMPILER_FUNCTIONS:
+            arrays = [x.array for x in operands]
+            inner = jax.make_jaxpr(COMPILER_FUNCTIONS[name])(*arrays)
+            return self.closed(inner, operands)
         if name in CALLS:
             inner = params["call_jaxpr" if "call_jaxpr" in params else "jaxpr"]
             return self.closed(inner, operands)

@@ -6,11 +6,10 @@ contracted or not, subnormals flushed or not; judged exactly. No accelerator is 
 see `tests.accelerator_arithmetic`.
 """
 
-import contextlib
 import functools
 import itertools
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -23,41 +22,11 @@ import jaxbe
 from benchmarks import scenes
 from benchmarks.certificates import holds
 from benchmarks.reference import LONG, value_along
-from jaxbe import kept, lower_bound
+from jaxbe import lower_bound
 from tests import accelerator_arithmetic as accelerator
 from tests import truth
 from tests.accelerator_arithmetic import MOVES, Arithmetic, evaluate
 from tests.margin_reference import KINDS, LOWS
-
-LEFT_OUT: dict[str, Any] = {
-    "kept": lambda x, given: x,
-    "kept_pair": lambda x, y, given: (x, y),
-    "kept_vector": lambda x, given: x,
-    "kept_from": lambda x, given: x,
-    "shared": lambda x: x,
-    "opaque_one": jnp.ones_like,
-}
-"""What is for XLA's CPU backend alone, of `jaxbe.kept`: not in a GPU's program.
-
-To go, with `without_tricks`, once these are primitives with rules for every platform;
-`accelerator.COMPILER_PRIMITIVES` says then what they do.
-"""
-
-
-@contextlib.contextmanager
-def without_tricks() -> Iterator[None]:
-    """Functions traced herein have nothing in them that is for a CPU alone."""
-    names = {getattr(kept, name): (name, x) for name, x in LEFT_OUT.items()}
-    with contextlib.ExitStack() as stack:
-        for module in [m for k, m in sys.modules.items() if k.startswith("jaxbe.")]:
-            for found in [x for x in vars(module).values() if _is_in(x, names)]:
-                stack.enter_context(mock.patch.object(module, *names[found]))
-        yield
-
-
-def _is_in(x: Any, names: Any) -> bool:
-    return callable(x) and getattr(x, "__hash__", None) is not None and x in names
-
 
 # The claims
 
@@ -232,8 +201,7 @@ def pairs_of(n: int, dtype: np.dtype) -> Pairs:
 
 def traced(claim: Claim, scene: scenes.Scene) -> Any:
     """The jaxpr of a claim's function, for all pairs of a scene at once."""
-    with without_tricks():
-        return jax.make_jaxpr(lambda *bodies: claim.function(*bodies))(*scene.bodies())
+    return jax.make_jaxpr(lambda *bodies: claim.function(*bodies))(*scene.bodies())
 
 
 def worst_fraction(claim: Claim, pairs: Pairs, how: Arithmetic, jaxpr: Any) -> float:

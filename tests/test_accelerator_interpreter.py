@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from jax.extend.core import Primitive
 
+from jaxbe import _xla
 from tests import accelerator_arithmetic as accelerator
 from tests.accelerator_arithmetic import MOVES, Arithmetic, Value, evaluate
 
@@ -130,7 +131,7 @@ def test_primitives_for_the_compiler_have_rules_of_their_own(monkeypatch, dtype)
     with pytest.raises(NotImplementedError, match="jaxbe_made_up"):
         evaluated(function, x, y)
     rules = accelerator.COMPILER_PRIMITIVES
-    monkeypatch.setitem(rules, "jaxbe_made_up", accelerator.identity)
+    monkeypatch.setitem(rules, "jaxbe_made_up", accelerator.all_but_last)
     contracted = evaluated(function, x, y, how=Arithmetic(contracts=1))
     assert contracted == evaluated(
         lambda x, y: x * y - y, x, y, how=Arithmetic(contracts=1)
@@ -141,3 +142,26 @@ def test_primitives_for_the_compiler_have_rules_of_their_own(monkeypatch, dtype)
 
     monkeypatch.setitem(rules, "jaxbe_made_up", scaled)
     assert evaluated(function, x, y) == 3 * (x * y) - y
+
+
+def test_every_primitive_for_the_compiler_has_a_rule():
+    found = {x.primitive.name for x in vars(_xla).values() if isinstance(x, _xla._Hint)}
+    rules = {*accelerator.COMPILER_PRIMITIVES, *accelerator.COMPILER_FUNCTIONS}
+    assert found == rules
+
+
+def test_a_direction_is_normalised_by_quotients_that_are_moved(dtype):
+    u = [np.array([x, y], dtype) for x, y in ((3, 1), (-4, -1e-30), (1, 0))]
+
+    def function(u):
+        return _xla.materialise_direction(u, u[0])
+
+    jaxpr = jax.make_jaxpr(function)(u)
+    exact, sites = evaluate(jaxpr, u, IEEE)
+    expected = [[dtype.type(0.75), 1], [-1, 0], [0.25, 0]]
+    np.testing.assert_array_equal(exact, expected)
+    assert sites == 3
+    moved, _ = evaluate(jaxpr, u, Arithmetic(MOVES["away from zero"]))
+    assert np.all(
+        (abs(np.array(moved)) > abs(np.array(exact))) == (np.array(exact) != 0)
+    )

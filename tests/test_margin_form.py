@@ -9,13 +9,15 @@ import pytest
 
 import jaxbe
 from benchmarks import scenes
-from jaxbe.growth import MAX_STEPS, STEPS_A_LOOP
+from jaxbe import _xla
+from jaxbe.growth import MAX_STEPS
 from tests import programs
 
 LARGEST = 3000
 """Operations in a loop: beyond, XLA's CPU backend runs a thousand times slower."""
 
-COUNTS = (0, 3, STEPS_A_LOOP, STEPS_A_LOOP + 1, MAX_STEPS)
+AT_ONCE = _xla.GROWTH_STEPS.at_once
+COUNTS = (0, 3, AT_ONCE, AT_ONCE + 1, MAX_STEPS)
 FIELDS = [
     (body, field)
     for body, kind in enumerate((jaxbe.Box, jaxbe.Ellipsoid))
@@ -36,7 +38,7 @@ def bodies(dtype):
 @pytest.mark.parametrize("steps", COUNTS)
 def test_margin_is_one_loop_or_two(bodies, steps):
     function = jax.vmap(functools.partial(jaxbe.margin, steps=steps))
-    assert programs.fusions(function, *bodies) == 1 + (steps > STEPS_A_LOOP)
+    assert programs.fusions(function, *bodies) == 1 + (steps > AT_ONCE)
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
@@ -45,7 +47,7 @@ def test_margin_is_one_loop_or_two(bodies, steps):
 def test_both_bounds_come_from_one_loop_or_two(bodies, steps):
     """And two small ones that take them apart."""
     function = jax.vmap(functools.partial(jaxbe.margin_bounds, steps=steps))
-    assert programs.fusions(function, *bodies) <= 3 + 2 * (steps > STEPS_A_LOOP)
+    assert programs.fusions(function, *bodies) <= 3 + 2 * (steps > AT_ONCE)
     assert programs.largest_expression(function, *bodies) <= LARGEST
 
 
