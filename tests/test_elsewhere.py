@@ -39,8 +39,8 @@ UNCUT = ("overlap", "scaled_distance", "lower bound")
 NOT_ELSEWHERE = re.compile(
     r"complex|stablehlo\.(real|imag|case|if|while|custom_call|dot\w*|sort)\b"
 )
-PACKED = re.compile(r"1\.0995116\d*E\+12")
-"""2^40, by which directions are packed on a CPU in float32."""
+PACKED = re.compile(r"1\.7592186\d*E\+13")
+"""2^44, to tell apart on a CPU in float32 what was packed with a factor of 2^40."""
 
 
 @functools.cache
