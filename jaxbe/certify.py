@@ -64,7 +64,7 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     times the sum of the terms' absolute values, u = eps / 2. All numbers compared here
     have fewer than 16 roundings, K - C being one; gamma_64 covers them, the root, and
     the sums of absolute values, which are computed too; and 6 roundings more for each
-    of at most four quotients and roots on a way, which GPUs and TPUs compute to some 3
+    of at most four quotients and roots on a way, which accelerators compute to some 3
     units in the last place. For an overlap, with
     z = V^T w, w = C + U x - K, and G = V^T V - I (as computed, plus its rounding),
     y = (I + G)^-1 z differs from z by at most |G| |z| / (1 - |G|). A verdict is given

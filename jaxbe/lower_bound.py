@@ -25,7 +25,7 @@ and to first order, the sums by their absolute values, each against |w|:
     |w|, quotient:   2.5 + 2 of all these
 
 so at most 13 u (|K - C| + sum e + |a|). Processors that divide and take roots less
-exactly than IEEE says, by 3 units in the last place (GPUs, TPUs), add 12 u of all these
+exactly than IEEE says, as accelerators by 3 units in the last place, add 12 u of these
 for |w| and the quotient and 6 u of |a| for the radius: at most 31 u, and 25 u of
 |K - C|, which leaves room for a number of this dtype that the bound is compared with:
 no distance is more than |K - C|. `ROUNDINGS` is 32 u.
