@@ -1,8 +1,9 @@
-"""All that is here because of a compiler: XLA, which compiles for JAX.
+"""Everything in jaxbe that exists because of a compiler: XLA, which JAX compiles with.
 
-The rest of jaxbe is mathematics, and calls these functions by what they ask for. To
-values and derivatives each is the identity, or nearly. They are primitives, because
-what they ask for takes other means on a CPU than elsewhere:
+The rest of jaxbe is mathematics, and calls these functions for what they ask of the
+compiler. To values and derivatives each is the identity, or nearly. They are primitives
+(`jaxbe._xla_primitives`), because a CPU needs other means than every other platform,
+which is what "elsewhere" means here:
 
 - A fusion of XLA's CPU backend, one loop over the batch, has one result. What several
   results need it computes again for each, and it cuts a fusion of more than some 3,000
@@ -10,14 +11,14 @@ what they ask for takes other means on a CPU than elsewhere:
   shares. It removes optimization barriers before it fuses. Only a division is never
   computed twice: divided by a one that the compiler does not see through, an array is a
   fusion and stays; two arrays, as a complex number, are one fusion.
-- Its GPU backend makes fusions of several results by itself, and heeds barriers until
+- Its GPU backend makes fusions of several results by itself, and honours barriers until
   it has fused. There they alone cut a program, and the rest is the identity. Uncut,
   `signed_distance` is 30 million instructions a pair, for the same reason as on a CPU,
   and the time to compile a fusion grows faster than the fusion.
-- Its TPU backend fuses all it can, and heeds barriers: with them it compiles faster.
+- Its TPU backend fuses all it can, and honours barriers: with them it compiles faster.
 
-Seen in jax 0.6.0 to 0.12.0 (`python -m benchmarks programs` shows what the programs
-are); each entry says when it may go. With `JAXBE_XLA=off` in the environment all are
+All this was seen in jax 0.6.0 to 0.12.0 (`python -m benchmarks programs` shows what
+the programs are); each entry says when it may go. With `JAXBE_XLA=off` in the environment all are
 identities, to measure what they do.
 """
 
@@ -25,34 +26,29 @@ from __future__ import annotations
 
 import functools
 import operator
-import os
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
-from jax.sharding import AxisType
 
+from jaxbe._xla_primitives import EachHint, Hint, LinearHint, unchanged
 from jaxbe.choice import choose, maximum, minimum
 from jaxbe.types import Components, Scalars
 
 Tree = TypeVar("Tree")
-Rule = Callable[..., Sequence[Scalars]]
-
-IS_ON = os.environ.get("JAXBE_XLA", "on") != "off"
 
 
 class StepLimit(NamedTuple):
-    """How many steps of an iteration one fusion has room for; there may be any number.
+    """How many steps of an iteration go into one fusion; more steps take more fusions.
 
     May go when a fusion of any size computes once what it shares, in linear time.
 
     Attributes:
-        at_once: on a CPU. What is more begins anew, from `hand_over` or `materialise`.
+        at_once: on a CPU. The next ones start from what `hand_over` or `materialise`
+            has written down.
         uncut: elsewhere, see `between_steps`.
     """
 
@@ -60,10 +56,8 @@ class StepLimit(NamedTuple):
     uncut: int
 
 
-GROWTH_STEPS = StepLimit(5, 2)
-SEPARATION_STEPS = StepLimit(4, 3)
-DESCENT_STEPS = StepLimit(3, 4)
-"""Of two descents at once."""
+GROWTH_LIMIT = StepLimit(5, 2)
+SEPARATION_LIMIT = StepLimit(4, 3)
 
 MAX_TABLE_RATIO = 4
 """A table of all rows against all columns may have so many times the entries wanted.
@@ -90,7 +84,7 @@ def materialise(values: Sequence[Scalars], witness: Scalars) -> list[Scalars]:
     has several results.
 
     Args:
-        values: arrays of one computation, which a CPU makes for every two of them.
+        values: arrays of one computation; on a CPU it is repeated for every two of them.
         witness: at hand, of the whole batch; see `runtime_witness`. Where it is NaN so
             may be the results.
     """
@@ -180,19 +174,22 @@ def recompute(x: Scalars, witness: Scalars) -> Scalars:
 
 
 def in_units(x: Scalars, factor: float) -> Scalars:
-    """A length x times a power of two on a CPU, for a fusion in units of its own.
+    """A length x in other units on a CPU: times a power of two, elsewhere unchanged.
 
     As `recompute`, for what is not of the inputs: fusions in different units share
-    little. Callers reckon in whatever units they get.
+    little. All lengths of a computation have to be converted, and no result may depend
+    on the unit.
     """
-    return _in_units(*_alike(x), factor=factor)[0]
+    # The unit is a value: derivatives keep the one that they were computed with.
+    return x * _unit(jnp.ones((), jnp.result_type(x)), factor=factor)[0]
 
 
 def recomputed(anew: Tree, known: Tree, witness: Scalars) -> Tree:
     """What is computed anew on a CPU, and elsewhere what is known already.
 
-    There it crosses a cut, so that nothing else does: XLA's GPU backend, too, would
-    write down all that fusions share. May go when it weighs arrays against operations.
+    Elsewhere these arrays, and only these, are written down for the fusions that
+    follow: left alone, XLA's GPU backend, too, writes down all that fusions share. May
+    go when it weighs arrays against operations.
 
     Args:
         anew: arrays of `recompute`.
@@ -256,8 +253,8 @@ def _multiplied(x: Scalars, witness: Scalars) -> list[Scalars]:
     return [x * _opaque_one(witness)]
 
 
-def _scaled(x: Scalars, *, factor: float) -> list[Scalars]:
-    return [x * factor]
+def _scaled(one: Scalars, *, factor: float) -> list[Scalars]:
+    return [one * factor]
 
 
 def _compared(x: Scalars) -> list[Scalars]:
@@ -316,27 +313,23 @@ def _first_half(*operands: Scalars) -> Sequence[Scalars]:
 # Elsewhere.
 
 
-def _unchanged(*operands: Scalars, **_: Any) -> Sequence[Scalars]:
-    return operands
+def _barrier(*operands: Scalars) -> Sequence[Scalars]:
+    found: Sequence[Scalars] = lax.optimization_barrier(operands)  # type: ignore[no-untyped-call]
+    return found
 
 
-def _barred(*operands: Scalars) -> Sequence[Scalars]:
-    barred: Sequence[Scalars] = lax.optimization_barrier(operands)  # type: ignore[no-untyped-call]
-    return barred
-
-
-def _barred_values(*operands: Scalars) -> Sequence[Scalars]:
+def _barrier_of_values(*operands: Scalars) -> Sequence[Scalars]:
     """Without the witness, which need not be there then."""
-    return _barred(*operands[:-1])
+    return _barrier(*operands[:-1])
 
 
-def _barred_known(*operands: Scalars) -> Sequence[Scalars]:
+def _barrier_of_known(*operands: Scalars) -> Sequence[Scalars]:
     """With the witness: two barriers of the same arrays alone would become one."""
-    return _barred(*operands[len(operands) // 2 :])
+    return _barrier(*operands[len(operands) // 2 :])
 
 
-def _barred_direction(*operands: Scalars) -> Sequence[Scalars]:
-    return _barred(*_normalised(*operands))
+def _barrier_of_direction(*operands: Scalars) -> Sequence[Scalars]:
+    return _barrier(*_normalised(*operands))
 
 
 def _normalised(*operands: Scalars) -> list[Scalars]:
@@ -350,130 +343,6 @@ def _normalised(*operands: Scalars) -> list[Scalars]:
 # The primitives.
 
 
-class _Hint:
-    """A primitive: from values, and a witness after them, to the values.
-
-    Args:
-        name: of the primitive, in programs.
-        on_cpu: what computes the results on a CPU, and perhaps more after them.
-        elsewhere: on other platforms.
-        count: the results, where they are not all operands but the last one.
-        value: what it is to derivatives.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        on_cpu: Rule,
-        elsewhere: Rule,
-        count: Callable[[int], int] = lambda operands: operands - 1,
-        value: Rule = _unchanged,
-    ) -> None:
-        self.primitive = Primitive(f"jaxbe_{name}")
-        self.primitive.multiple_results = True
-        self.count = count
-        self.value = value
-        self.primitive.def_abstract_eval(self._values)  # type: ignore[no-untyped-call]
-        self.primitive.def_impl(self._called)  # type: ignore[no-untyped-call]
-        batching.primitive_batchers[self.primitive] = self._batched
-        ad.primitive_jvps[self.primitive] = self._differentiated
-        ad.primitive_transposes[self.primitive] = self._transposed
-        self._lower(elsewhere if IS_ON else value, None)
-        self._lower(on_cpu if IS_ON else value, "cpu")
-
-    def __call__(self, *operands: Scalars, **parameters: Any) -> list[Scalars]:
-        results: list[Scalars] = self.primitive.bind(*operands, **parameters)  # type: ignore[no-untyped-call]
-        return results
-
-    def _values(self, *operands: Any, **_: Any) -> list[Any]:
-        count = self.count(len(operands))
-        if self.value is _unchanged:
-            return list(operands[:count])
-        # Each is computed of all: where they differ among devices, so does the witness.
-        return [operands[-1]] * count
-
-    def _lower(self, rule: Rule, platform: str | None) -> None:
-        def results(*operands: Scalars, **parameters: Any) -> Sequence[Scalars]:
-            return rule(*operands, **parameters)[: self.count(len(operands))]
-
-        lowered = mlir.lower_fun(results, multiple_results=True)
-        mlir.register_lowering(self.primitive, lowered, platform=platform)
-
-    def _called(self, *operands: Scalars, **parameters: Any) -> list[Scalars]:
-        """On arrays, outside of any transformation."""
-        # Where `jit` is disabled it would call this again, without end.
-        with jax.disable_jit(False):
-            results: list[Scalars] = _compiled(self, *parameters.items())(*operands)
-        return results
-
-    def _batched(
-        self, operands: Sequence[Any], axes: Sequence[Any], **parameters: Any
-    ) -> tuple[list[Scalars], list[int]]:
-        each = list(zip(operands, axes, strict=True))
-        mapped = next(jnp.moveaxis(x, axis, 0) for x, axis in each if axis is not None)
-        results = self(*(_batch_first(*one, mapped) for one in each), **parameters)
-        return results, [0] * len(results)
-
-    def _differentiated(
-        self, primals: Sequence[Any], tangents: Sequence[Any], **parameters: Any
-    ) -> tuple[list[Scalars], list[Any]]:
-        if self.value is _unchanged:
-            moved = self._values(*tangents)
-        else:
-            whole = tuple(ad.instantiate_zeros(d) for d in tangents)  # type: ignore[no-untyped-call]
-            _, moved = jax.jvp(self.value, primals, whole)
-        return self(*primals, **parameters), list(moved)
-
-    def _transposed(
-        self, cotangents: Sequence[Any], *operands: Any, **parameters: Any
-    ) -> list[Any]:
-        return [*cotangents, *[None] * (len(operands) - len(cotangents))]
-
-
-class _LinearHint(_Hint):
-    """Of one value. Derivatives are hinted at as well, for they compute of it, too."""
-
-    def _differentiated(
-        self, primals: Sequence[Any], tangents: Sequence[Any], **parameters: Any
-    ) -> tuple[list[Scalars], list[Any]]:
-        moved = self._moved(tangents[0], primals[1:], parameters)
-        return self(*primals, **parameters), [moved]
-
-    def _transposed(
-        self, cotangents: Sequence[Any], *operands: Any, **parameters: Any
-    ) -> list[Any]:
-        witness = operands[1:]
-        moved = self._moved(cotangents[0], witness, parameters)
-        return [moved, *[None] * len(witness)]
-
-    def _moved(self, x: Any, witness: Sequence[Any], parameters: dict[str, Any]) -> Any:
-        return x if type(x) is ad.Zero else self(x, *witness, **parameters)[0]
-
-
-class _EachHint(_Hint):
-    """Of values of any shapes: batch axes stay where they are."""
-
-    def _batched(
-        self, operands: Sequence[Any], axes: Sequence[Any], **parameters: Any
-    ) -> tuple[list[Scalars], list[Any]]:
-        return self(*operands, **parameters), self._values(*axes)
-
-
-def _batch_first(x: Scalars, axis: int | None, mapped: Scalars) -> Scalars:
-    """As the mapped one is, also over an explicit axis of a mesh (`jaxbe.choice`)."""
-    if axis is not None:
-        return jnp.moveaxis(x, axis, 0)
-    x = jnp.broadcast_to(x, mapped.shape)
-    if AxisType.Explicit in jax.typeof(mapped).sharding.mesh.axis_types:
-        return x * ((mapped == mapped) | True).astype(x.dtype)
-    return x
-
-
-@functools.lru_cache
-def _compiled(hint: _Hint, *parameters: tuple[str, Any]) -> Callable[..., Any]:
-    return jax.jit(functools.partial(hint.__call__, **dict(parameters)))
-
-
 def _every(operands: int) -> int:
     return operands
 
@@ -482,15 +351,15 @@ def _half(operands: int) -> int:
     return operands // 2
 
 
-_materialise = _Hint("materialise", _divided, _barred_values)
-_direction = _Hint(
-    "materialise_direction", _packed, _barred_direction, value=_normalised
+_materialise = Hint("materialise", _divided, _barrier_of_values)
+_direction = Hint(
+    "materialise_direction", _packed, _barrier_of_direction, value=_normalised
 )
-_cut = _Hint("cut", _divided_twice, _barred_values)
-_hand_over = _Hint("hand_over", _divided, _unchanged)
-_between_steps = _EachHint("between_steps", _unchanged, _barred, _every)
-_stay_fused = _Hint("stay_fused", _compared, _unchanged, _every)
-_recompute = _LinearHint("recompute", _multiplied, _unchanged)
-_in_units = _LinearHint("in_units", _scaled, _unchanged, _every)
-_recomputed = _Hint("recomputed", _first_half, _barred_known, _half)
-_reread = _EachHint("reread", _unchanged, _barred)
+_cut = Hint("cut", _divided_twice, _barrier_of_values)
+_hand_over = Hint("hand_over", _divided, unchanged)
+_between_steps = EachHint("between_steps", unchanged, _barrier, _every)
+_stay_fused = Hint("stay_fused", _compared, unchanged, _every)
+_recompute = LinearHint("recompute", _multiplied, unchanged)
+_unit = Hint("unit", _scaled, unchanged, _every)
+_recomputed = Hint("recomputed", _first_half, _barrier_of_known, _half)
+_reread = EachHint("reread", unchanged, _barrier)

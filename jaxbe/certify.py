@@ -104,7 +104,7 @@ def certify(box: Box, ellipsoid: Ellipsoid) -> Certificate:
     size = largest(_absolute(near.n))
     n = vector(lambda i: near.n[i] / choose(size > 0, size, 1))
     w = _xla.materialise_vector(times(U, n), witness)
-    # The ellipsoid's axes, reread, would be taken apart by a computation each.
+    # The box alone: to reread the ellipsoid takes a kernel for each entry of its axes.
     proof = _Proof(_xla.reread(box, w[0]), ellipsoid, pair.per_unit)
     overlap = proof.overlaps(vector(lambda i: x[i] * pair.per_unit))
     separated = proof.separates(w)

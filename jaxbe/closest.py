@@ -30,6 +30,9 @@ from jaxbe.types import Components, Flags, Scalars
 THOROUGH = 5
 """From so many steps on the descents begin at all seven starts, not at four."""
 
+MOST_FIRST_ROUNDS = 3
+"""Steps of the first descents, at most."""
+
 LAST_ROUNDS = 4
 """Steps from the best of them."""
 
@@ -103,7 +106,7 @@ def _ends_of_descents(pair: CanonicalPair, read: Read, steps: int) -> list[Compo
         starts += chosen_starts(read(first[2]))
     else:
         starts += other_starts()
-    rounds = min(max(steps - 1, 1), _xla.DESCENT_STEPS.at_once)
+    rounds = min(max(steps - 1, 1), MOST_FIRST_ROUNDS)
     ends = [first]
     for i in range(0, len(starts), 2):
         pair = read(ends[-1][0])
@@ -131,9 +134,8 @@ def _refined(
     pair: CanonicalPair, u: Components, rounds: int, *, is_last: bool
 ) -> Components:
     here = search(pair)
-    for number in range(rounds):
-        u_0, u_1, u_2 = _xla.between_steps(u, number, _xla.DESCENT_STEPS)
-        u = improved(here, (u_0, u_1, u_2), is_last=is_last)
+    for _ in range(rounds):
+        u = improved(here, u, is_last=is_last)
     return u
 
 

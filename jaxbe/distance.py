@@ -31,7 +31,7 @@ from jaxbe.validate import as_count
 DEFAULT_STEPS = 3
 MAX_STEPS = 24
 
-GROWTH_STEPS = 5
+BALL_STEPS = 5
 """Of the growth distance, for the ball in `distance_bounds`."""
 
 
@@ -170,6 +170,6 @@ def _along_axis(box: Box, d: Components, i: int) -> Scalars:
 
 def _contained_ball(pair: CanonicalPair) -> Scalars:
     """The radius, in metres, of a ball about k in the Minkowski sum."""
-    _, alpha = growth_bounds(pair, GROWTH_STEPS)
+    _, alpha = growth_bounds(pair, BALL_STEPS)
     ball = smallest(pair.e) + smallest(pair.a)
     return maximum(1 - alpha, 0) * ball / pair.per_unit

@@ -69,7 +69,7 @@ class Iterate(NamedTuple):
 
 def growth_bounds(pair: CanonicalPair, steps: int) -> tuple[Scalars, Scalars]:
     """A lower and an upper bound of alpha after `steps` steps."""
-    first = max(0, steps - _xla.GROWTH_STEPS.at_once)
+    first = max(0, steps - _xla.GROWTH_LIMIT.at_once)
     if first:
         iterate = _materialised_steps(pair, first)
         iterate = _more_steps(iterate, in_units(pair, 4), steps - first)
@@ -99,7 +99,7 @@ def _first_steps(pair: CanonicalPair, count: int) -> Iterate:
 def _more_steps(iterate: Iterate, pair: CanonicalPair, count: int) -> Iterate:
     m = metric(pair.R, pair.a)
     for number in range(count):
-        iterate = Iterate(*_xla.between_steps(iterate, number, _xla.GROWTH_STEPS))
+        iterate = Iterate(*_xla.between_steps(iterate, number, _xla.GROWTH_LIMIT))
         iterate = step(iterate, pair, m)
     return iterate
 

@@ -125,10 +125,11 @@ def rounding_slack(dtype: Any, aspect_ratio: float, *, axes_error: float = 4) ->
         the same in the length of n, and its own sums                  36 + 13
         axes orthonormal to axes_error eps only: N is not quite S^-1  7.5 each
         complementarity, n.x against alpha E (the kernel's key)              6
-        quotients and roots off by 3 units in the last place, not by half:
-        5 more for each, in the residuals, in the length and outside        48
+        quotients and roots off by 3 units in the last place, not by half,
+        5 more for each: 1 + 2 behind the residuals, 3.5 and the root in
+        the length of n, 1 for the quotient                               42.5
 
-    together 193 and, with an axes_error of 4, 223: less than 112 eps r.
+    together 187.5 and, with an axes_error of 4, 217.5: less than 112 eps r.
     The choice of the best candidate adds nothing: q plus the gap is compared, so the
     gap of the chosen one is of the order of the above.
 

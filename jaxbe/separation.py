@@ -64,7 +64,7 @@ def shift(pair: CanonicalPair, steps: int) -> Scalars:
 def refined_shift(pair: CanonicalPair, mu: Scalars, steps: int) -> Scalars:
     """A guess of mu after so many more steps."""
     mu = _advanced(Bracket(mu, jnp.zeros_like(mu), _highest(pair)), pair, steps)
-    if steps <= _xla.SEPARATION_STEPS.at_once:
+    if steps <= _xla.SEPARATION_LIMIT.at_once:
         return mu
     return _xla.cut(mu, runtime_witness(pair))
 
@@ -74,7 +74,7 @@ def _advanced(bracket: Bracket, pair: CanonicalPair, steps: int) -> Scalars:
 
     Each has units of its own; the highest mu is found again in them.
     """
-    most = _xla.SEPARATION_STEPS.at_once
+    most = _xla.SEPARATION_LIMIT.at_once
     first = steps % most or min(steps, most)
     bracket = _advance(bracket, pair, range(first))
     later = range(first, steps, most)
@@ -120,7 +120,7 @@ def _highest(pair: CanonicalPair) -> Scalars:
 def _advance(bracket: Bracket, pair: CanonicalPair, numbers: range) -> Bracket:
     form = shape(pair.R, pair.a)
     for number in numbers:
-        state = _xla.between_steps(bracket, number, _xla.SEPARATION_STEPS)
+        state = _xla.between_steps(bracket, number, _xla.SEPARATION_LIMIT)
         bracket = _step(Bracket(*state), pair, form)
     return bracket
 

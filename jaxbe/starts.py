@@ -31,7 +31,7 @@ Start = Callable[[CanonicalPair], Components]
 Read = Callable[[Scalars], CanonicalPair]
 """The pair of the bodies at hand, for one more computation; given a witness."""
 
-GROWTH_STEPS = 1
+START_STEPS = 1
 """Enough for a start."""
 
 TRIED = 3
@@ -42,7 +42,7 @@ def first_start(pair: CanonicalPair, read: Read, steps: int) -> Components:
     """Start 0, of any length."""
     mu = _xla.cut(shift(pair, steps), runtime_witness(pair))
     pair = read(mu)
-    alpha = growth_estimate(pair, GROWTH_STEPS)
+    alpha = growth_estimate(pair, START_STEPS)
     # One of the two at a time: mu is zero where they overlap.
     alpha = choose(mu > 0, 1, minimum(alpha, 1))
     n = _direction(pair, alpha, mu)
@@ -122,6 +122,6 @@ def _depths_of_axes(pair: CanonicalPair) -> Components:
 
 def _digits(x: Scalars) -> Components:
     """In base 8, the last one first."""
-    highest = jnp.floor(x / 64)
-    middle = jnp.floor((x - 64 * highest) / 8)
+    highest = jnp.floor(x * (1 / 64))
+    middle = jnp.floor((x - 64 * highest) * (1 / 8))
     return x - 64 * highest - 8 * middle, middle, highest

@@ -54,7 +54,7 @@ COMPILER_PRIMITIVES: dict[str, Rule] = {
     "jaxbe_between_steps": identity,
     "jaxbe_stay_fused": identity,
     "jaxbe_recompute": all_but_last,
-    "jaxbe_in_units": identity,
+    "jaxbe_unit": identity,
     "jaxbe_recomputed": second_half,
     "jaxbe_reread": all_but_last,
 }

@@ -11,7 +11,7 @@ import jaxbe
 from benchmarks import scenes
 from benchmarks.reference import LONG, value_along
 from jaxbe import lower_bound
-from jaxbe._xla import SEPARATION_STEPS
+from jaxbe._xla import SEPARATION_LIMIT
 from jaxbe.lower_bound import MAX_STEPS, ROUNDINGS, distance_lower_bound
 from jaxbe.pose import canonical_pair
 from tests import programs, truth
@@ -241,7 +241,7 @@ def test_derivatives_are_those_of_the_distance():
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="fuses in other ways")
-@pytest.mark.parametrize("steps", [0, 1, SEPARATION_STEPS.at_once + 1, MAX_STEPS])
+@pytest.mark.parametrize("steps", [0, 1, SEPARATION_LIMIT.at_once + 1, MAX_STEPS])
 def test_one_fusion_while_there_is_room(steps, dtype):
     """And none too large to compile well, whatever the steps."""
     bodies = scenes.random(10_000).astype(dtype).bodies()

@@ -16,7 +16,7 @@ from tests import programs
 LARGEST = 3000
 """Operations in a loop: beyond, XLA's CPU backend runs a thousand times slower."""
 
-AT_ONCE = _xla.GROWTH_STEPS.at_once
+AT_ONCE = _xla.GROWTH_LIMIT.at_once
 COUNTS = (0, 3, AT_ONCE, AT_ONCE + 1, MAX_STEPS)
 FIELDS = [
     (body, field)

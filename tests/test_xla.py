@@ -5,6 +5,9 @@ On a CPU to the bit; what other platforms compute is exported for them and run h
 
 import functools
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,6 +18,7 @@ import pytest
 from jax import export
 
 import jaxbe
+from benchmarks import scenes
 from jaxbe import _xla
 from tests.processes import python
 
@@ -78,7 +82,6 @@ ENTRIES = {
         lambda x: (x * np.asarray(FACTOR, x.dtype),),
         every,
         1,
-        True,
     ),
     "recomputed": Entry(
         lambda a, b, c, d, w: _xla.recomputed((a, b), (c, d), w),
@@ -125,7 +128,7 @@ def check_equal(found, expected, entry):
 
 def test_all_are_here():
     """Every primitive is reached by an entry of the table."""
-    primitives = {x.primitive for x in vars(_xla).values() if isinstance(x, _xla._Hint)}
+    primitives = {x.primitive for x in vars(_xla).values() if isinstance(x, _xla.Hint)}
     found = {
         equation.primitive
         for entry in ENTRIES.values()
@@ -427,7 +430,9 @@ def test_elsewhere(entry, platform, dtype):
     check_equal(program.call(*arrays), entry.elsewhere(*arrays), entry)
     text = str(program.mlir_module())
     assert "complex" not in text
-    if entry.function is not ENTRIES["materialise_direction"].function:
+    if entry.function is ENTRIES["in_units"].function:
+        assert operations(text) <= {"constant", "broadcast_in_dim", "multiply"}
+    elif entry.function is not ENTRIES["materialise_direction"].function:
         assert operations(text) <= {"optimization_barrier"}
 
 
@@ -473,3 +478,32 @@ def test_over_two_devices():
     ways = {name.split(", ", 1)[1] for name in told}
     assert {"shard_map", "shard_map, eager"} <= ways
     assert ("explicit axis" in ways) == hasattr(jax, "set_mesh")
+
+
+@pytest.mark.parametrize("query", [jaxbe.margin, jaxbe.scaled_distance])
+def test_a_pullback_may_be_run_on_another_platform(query):
+    """What it keeps is in the units of the platform that computed it."""
+    bodies = scenes.random(100, seed=3).bodies()
+
+    def slopes(*pair):
+        return jax.grad(lambda *x: query(*x).sum(), argnums=(0, 1))(*pair)
+
+    values, pullback = jax.vjp(slopes, *bodies)
+    cotangent = jax.tree.map(jnp.ones_like, values)
+    leaves, structure = jax.tree.flatten(cotangent)
+
+    def flat(*leaves):
+        return jax.tree.leaves(pullback(jax.tree.unflatten(structure, leaves)))
+
+    crossed = exported(flat, leaves, "cuda").call(*leaves)
+    for found, expected in zip(crossed, flat(*leaves), strict=True):
+        scale = np.nanmax(abs(np.asarray(expected)))
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("setting", ["0", "false", "OFF", ""])
+def test_the_switch_is_on_or_off(setting):
+    environment = os.environ | {"JAXBE_XLA": setting}
+    words = [sys.executable, "-c", "import jaxbe"]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert f"JAXBE_XLA must be on or off, got {setting!r}" in done.stderr
