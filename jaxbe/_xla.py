@@ -18,8 +18,8 @@ which is what "elsewhere" means here:
 - Its TPU backend fuses all it can, and honours barriers: with them it compiles faster.
 
 All this was seen in jax 0.6.0 to 0.12.0 (`python -m benchmarks programs` shows what
-the programs are); each entry says when it may go. With `JAXBE_XLA=off` in the environment all are
-identities, to measure what they do.
+the programs are); each entry says when it may go. With `JAXBE_XLA=off` in the
+environment all are identities, to measure what they do.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def materialise(values: Sequence[Scalars], witness: Scalars) -> list[Scalars]:
     has several results.
 
     Args:
-        values: arrays of one computation; on a CPU it is repeated for every two of them.
+        values: arrays of one computation, which a CPU repeats for every two of them.
         witness: at hand, of the whole batch; see `runtime_witness`. Where it is NaN so
             may be the results.
     """
