@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import everyday, reference
 from benchmarks.program_list import PROGRAMS, _shapes
-from jaxbe import _xla
+from jaxbe import _xla_primitives
 from jaxbe.lower_bound import distance_lower_bound
 from tests import without_hints
 from tests.processes import python
@@ -86,7 +86,7 @@ def test_no_trick_reaches_other_platforms(name):
 def answers(dtype, folder):
     """With what is there for a CPU's compiler, and without it."""
     file = folder / f"{dtype}.npz"
-    assert _xla.IS_ON
+    assert _xla_primitives.IS_ON
     python("-m", "tests.without_hints", file, dtype)
     with np.load(file) as found:
         return without_hints.answers(dtype), dict(found)

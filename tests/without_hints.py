@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxbe
 from benchmarks import scenes
-from jaxbe import _xla
+from jaxbe import _xla_primitives
 from jaxbe.lower_bound import distance_lower_bound
 
 PAIRS = 200
@@ -71,7 +71,7 @@ def answers(dtype):
 
 
 def main(file, dtype):
-    assert not _xla.IS_ON
+    assert not _xla_primitives.IS_ON
     jax.config.update("jax_enable_x64", True)
     np.savez(file, **answers(dtype))
 
