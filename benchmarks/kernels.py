@@ -114,15 +114,27 @@ def moved(hlo: str) -> dict[str, int]:
     rows = [INSTRUCTION.match(line) for line in hlo.splitlines()]
     found = {row[1]: row for row in rows if row}
     size = {name: array_bytes(row[2]) for name, row in found.items()}
+    for name, row in found.items():
+        # jax 0.12 writes NAME#1 for a part of a tuple, without an instruction for it.
+        parts = enumerate(ARRAY.finditer(row[2])) if row[2].startswith("(") else ()
+        size |= {f"{name}#{i}": array_bytes(part[0]) for i, part in parts}
     return {
         re.sub(r"[.\-]", "_", name): size[name]
-        + sum(size.get(x, 0) for x in set(_operands(row[4])))
+        + sum(_known(size, x, row[3]) for x in set(_operands(row[4])))
         for name, row in found.items()
     }
 
 
+def _known(size: Mapping[str, int], operand: str, operation: str) -> int:
+    """The bytes of an operand; none of what is no array, as a constant's number."""
+    if operation == "fusion" and operand not in size:
+        raise ValueError(f"no array of the name {operand!r} in XLA's program")
+    return size.get(operand, 0)
+
+
 def _operands(rest: str) -> list[str]:
-    return re.findall(r"%?([A-Za-z_][\w.\-]*)(?=[,)]|$)", rest.partition(")")[0] + ")")
+    inside = re.sub(r"/\*.*?\*/", "", rest.partition(")")[0])
+    return [x.strip().split()[-1].lstrip("%") for x in inside.split(",") if x.strip()]
 
 
 def array_bytes(shape: str) -> int:

@@ -80,6 +80,7 @@ ENTRY %main.1 (x.1: f32[4,3], y: f64[4]) -> (pred[4], f32[4]) {
   %x.1 = f32[4,3]{1,0} parameter(0), metadata={op_name="x"}
   %y = f64[4]{0} parameter(1)
   %loop_fusion.2 = (pred[4]{0}, f32[4]{0}) fusion(%x.1, %y, /*index=2*/%x.1), kind=kLoop
+  %input_fusion = f32[4]{0} fusion(%loop_fusion.2#1, /*index=1*/%loop_fusion.2#0)
   ROOT %copy-done = f32[4]{0} negate(%y), metadata={op_name="f(%x.1)"}
 }
 """
@@ -110,6 +111,9 @@ def test_moved_bytes_are_of_each_operand_once():
     moved = kernels.moved(HLO)
     assert moved["loop_fusion_2"] == 4 * (1 + 4) + 4 * 3 * 4 + 4 * 8
     assert moved["copy_done"] == 4 * 4 + 4 * 8
+    assert moved["input_fusion"] == 4 * 4 + 4 * 4 + 4 * 1
+    with pytest.raises(ValueError, match="no array of the name 'z'"):
+        kernels.moved(HLO.replace("fusion(%x.1", "fusion(%z"))
 
 
 def kernel(**changed):
