@@ -31,7 +31,8 @@ THOROUGH = 5
 """From so many steps on the descents begin at all seven starts, not at four."""
 
 MOST_FIRST_ROUNDS = 3
-"""Steps of the first descents, at most."""
+"""Steps of the first descents, at most. Six would find a shorter way out for 0.2 % of
+random overlapping pairs at 8 steps, up to 1.2 times shorter."""
 
 LAST_ROUNDS = 4
 """Steps from the best of them."""
@@ -56,8 +57,9 @@ def closest(box: Box, ellipsoid: Ellipsoid, steps: int) -> Closest:
     Where the bodies are apart there is one minimum of f (see `jaxbe.tangent`), and the
     descents polish what `jaxbe.separation` found.
     """
-    read = functools.partial(recomputed_pair, box, ellipsoid)
-    ends = _ends_of_descents(canonical_pair(box, ellipsoid), read, steps)
+    pair = canonical_pair(box, ellipsoid)
+    read = functools.partial(recomputed_pair, box, ellipsoid, pair)
+    ends = _ends_of_descents(pair, read, steps)
     together = functools.reduce(operator.add, [end[0] for end in ends])
     u = _best_refined(read(together), ends)
     pair = read(u[0])

@@ -135,7 +135,8 @@ def witness_points(box: Box, ellipsoid: Ellipsoid, found: Closest) -> WitnessPoi
     a component of n enters, which is chance where the component is zero to rounding.
     """
     n, distance = found
-    reach = _reach(recomputed_pair(box, ellipsoid, n[0]), n)
+    known = canonical_pair(box, ellipsoid)
+    reach = _reach(recomputed_pair(box, ellipsoid, known, n[0]), n)
     d = _offset(box, ellipsoid, reach)
     e = split_vector(box.half_extents, n[0].ndim)
 

@@ -88,16 +88,19 @@ def canonical_pair(
     return CanonicalPair(vector(lambda i: k[i] + poison), R, e, a, per_unit)
 
 
-def recomputed_pair(box: Box, ellipsoid: Ellipsoid, witness: Scalars) -> CanonicalPair:
+def recomputed_pair(
+    box: Box, ellipsoid: Ellipsoid, known: CanonicalPair, witness: Scalars
+) -> CanonicalPair:
     """The canonical pair, for a computation that shares nothing else with others.
 
     Args:
         box: any batch shape.
         ellipsoid: a batch shape that broadcasts with the box's.
+        known: their canonical pair.
         witness: see `jaxbe._xla.recompute`. NaN makes the pair NaN.
     """
     anew = canonical_pair(box, ellipsoid, witness)
-    return _xla.recomputed(anew, canonical_pair(box, ellipsoid), witness)
+    return _xla.recomputed(anew, known, witness)
 
 
 def runtime_witness(pair: CanonicalPair) -> Scalars:
