@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
-from jax.sharding import AxisType
 
+from jaxbe.choice import has_explicit_axes, times_one
 from jaxbe.types import Scalars
 
 Rule = Callable[..., Sequence[Scalars]]
@@ -150,9 +150,7 @@ def _batch_first(x: Scalars, axis: int | None, mapped: Scalars) -> Scalars:
     if axis is not None:
         return jnp.moveaxis(x, axis, 0)
     x = jnp.broadcast_to(x, mapped.shape)
-    if AxisType.Explicit in jax.typeof(mapped).sharding.mesh.axis_types:
-        return x * ((mapped == mapped) | True).astype(x.dtype)
-    return x
+    return times_one(x, (mapped == mapped) | True) if has_explicit_axes(mapped) else x
 
 
 @functools.lru_cache

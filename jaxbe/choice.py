@@ -28,9 +28,9 @@ def choose(condition: Flags, x: Numbers, y: Numbers) -> Scalars:
     """`jnp.where`, also between two constants."""
     if _may_hide_an_axis(condition):
         one = condition | True
-        chosen = jnp.where(condition, _times_one(x, one), _times_one(y, one))
+        chosen = jnp.where(condition, times_one(x, one), times_one(y, one))
         # Going backwards, it is this that may be a constant.
-        return _times_one(chosen, one)
+        return times_one(chosen, one)
     return jnp.where(condition, x, y)
 
 
@@ -72,12 +72,16 @@ def _extreme_of_scalars_jvp(
     return value, of_x * tangents[0] + of_y * tangents[1]
 
 
+def has_explicit_axes(x: Numbers) -> bool:
+    """Whether the mesh around has axes that are part of the arrays' types."""
+    return AxisType.Explicit in jax.typeof(x).sharding.mesh.axis_types
+
+
 def _may_hide_an_axis(x: Numbers) -> bool:
     """Whether an explicit axis may be mapped, and none is left that tells JAX of it."""
-    mesh = jax.typeof(x).sharding.mesh
-    return jnp.ndim(x) == 0 and AxisType.Explicit in mesh.axis_types
+    return jnp.ndim(x) == 0 and has_explicit_axes(x)
 
 
-def _times_one(x: Numbers, one: Flags) -> Scalars:
+def times_one(x: Numbers, one: Flags) -> Scalars:
     """Of x's own type, weak if it is."""
     return jnp.multiply(x, lax.convert_element_type(one, getattr(x, "dtype", type(x))))
