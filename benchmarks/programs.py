@@ -137,8 +137,11 @@ def _key(one: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def check(sets: Sequence[Mapping[str, Any]]) -> int:
-    """Says whether results are of the code as it is; how many are not."""
+    """Says whether results are of the code as it is; how many are not, or lacking."""
     now, others = receipt(), 0
+    for device in sorted(set(absent_device.DEVICES) - {one["device"] for one in sets}):
+        others += 1
+        print(f"{device}: no results")
     for one in sets:
         is_of_now = one["receipt"] == now
         others += not is_of_now
