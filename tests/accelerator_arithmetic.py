@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxbe import _xla
+
 MOST_UNITS = 3
 """By so many units in the last place a quotient or a root may be off."""
 
@@ -61,16 +63,7 @@ COMPILER_PRIMITIVES: dict[str, Rule] = {
 """What the primitives by which jaxbe speaks to the compiler do on an accelerator."""
 
 
-def direction(*operands: jax.Array) -> list[jax.Array]:
-    """Components over the size of the largest; what is far below rounding is zero."""
-    u = operands[:3]
-    size = functools.reduce(jax.lax.max, map(abs, u))
-    least = 2.0**-30 if size.dtype == np.float32 else 2.0**-80
-    over = [x / size for x in u]
-    return [jax.lax.select(abs(x) < least, jax.numpy.zeros_like(x), x) for x in over]
-
-
-COMPILER_FUNCTIONS = {"jaxbe_materialise_direction": direction}
+COMPILER_FUNCTIONS = {_xla._direction.primitive.name: _xla._direction.value}
 """Those that compute something there: its quotients are moved, too."""
 
 

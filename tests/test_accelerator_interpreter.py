@@ -10,9 +10,9 @@ import pytest
 from jax.extend.core import Primitive
 
 import jaxbe
-from benchmarks import scenes
 from jaxbe import _xla
 from tests import accelerator_arithmetic as accelerator
+from tests import without_hints
 from tests.accelerator_arithmetic import MOVES, Arithmetic, Value, evaluate
 
 IEEE = Arithmetic()
@@ -180,14 +180,13 @@ def test_a_direction_is_normalised_by_quotients_that_are_moved(dtype):
     ],
 )
 def test_what_accelerators_compute_of_distances(query):
-    """The answers of a CPU, with each quotient exact and with each moved."""
-    bodies = scenes.random(300, seed=9).astype(np.float32).bodies()
+    """A CPU's answers to the bit; with each quotient moved, distances to rounding."""
+    bodies = without_hints.scene_of("float32").bodies()
     jaxpr = jax.make_jaxpr(query)(*bodies)
     arguments = jax.tree.leaves(bodies)
     expected = jax.tree.leaves(query(*bodies))
     exact, _ = evaluate(jaxpr, arguments, IEEE)
     moved, _ = evaluate(jaxpr, arguments, Arithmetic(MOVES["random"]))
-    for found, near, truth in zip(exact, moved, expected, strict=True):
-        np.testing.assert_allclose(found, truth, atol=1e-5)
-        # Where several ways out are alike, another one may be found.
-        assert np.mean(abs(np.asarray(near) - truth) < 1e-4) > 0.98
+    for found, truth in zip(exact, expected, strict=True):
+        np.testing.assert_array_equal(found, truth)
+    np.testing.assert_allclose(moved[0], expected[0], rtol=0, atol=1e-5)

@@ -174,6 +174,7 @@ def test_the_report_has_every_row():
     for word in ("overlap, minkowski", "took longer than 9 s", "compile seconds 31"):
         assert word in text
     assert programs.check(sets) == 2
+    assert programs.check([]) == 2
 
 
 def test_what_fails_or_takes_too_long_says_so():
